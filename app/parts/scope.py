@@ -129,6 +129,7 @@ def draw() -> Scope:
     everything = readers.listing(store).runs
     with st.sidebar:
         of_task = _of_task(everything)
+        _absent(everything)
         words = address.text_input(
             "Search", "find", placeholder="search: a regular expression",
             label_visibility="collapsed", icon=":material/search:",
@@ -159,12 +160,25 @@ def _of_task(everything: Sequence[RunReader]) -> list[RunReader]:
     if not any(not run.small_copy for run in everything):
         tasks = [run.env for run in everything]
         first = max(dict.fromkeys(tasks), key=tasks.count)
+    asked = "".join(address.value_of("run", list)[-1:])
+    first = next((run.env for run in everything if run.run_id == asked), first)
     options = [*sorted(counts), EVERY_TASK]
     env = address.choose_one(
         st.selectbox, "Task", options, "task", first,
         lambda name: name if name == EVERY_TASK else task(name), label_visibility="collapsed",
     )  # fmt: skip
     return [run for run in everything if env in (EVERY_TASK, run.env)]
+
+
+def _absent(everything: Sequence[RunReader]) -> None:
+    """Say where the chosen run is, if it is not in the store."""
+    asked = "".join(address.value_of("run", list)[-1:])
+    if not asked or any(run.run_id == asked for run in everything):
+        return
+    if asked in readers.trashed(session.links().store):
+        st.warning(f"Run {text.markdown(asked)} is in the trash: Curves, Runs brings it back.")
+    else:
+        st.warning(f"There is no run {text.markdown(asked)} in this store.")
 
 
 def task_shown() -> str:

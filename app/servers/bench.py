@@ -58,9 +58,8 @@ PAGES = tuple(view.name for view in VIEWS)
 HARNESS = (
     "import streamlit as st\n"
     "if 'measured' in st.session_state:\n"
-    "    from app.router import draw\n"
-    "    from app.views import {0}\n"
-    "    draw({0}.page)\n"
+    "    from app.router import VIEWS, draw\n"
+    "    draw(next(view.page for view in VIEWS if view.name == '{0}'))\n"
 )
 """The first run of an AppTest searches all installed packages, unlike a running server."""
 TIMEOUT_S = 600

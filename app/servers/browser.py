@@ -14,7 +14,6 @@ from PIL import Image
 
 from app.data import readers, road
 from app.parts import widgets
-from app.router import VIEWS
 from app.servers.launcher import Studio, servers
 from app.theme import Mode
 from tom.envs import ROAD
@@ -55,6 +54,18 @@ LIMIT_BYTES = 2_000_000
 """never exceeded"""
 QUALITIES = (80, 60, 40, 20)
 WIDTHS = (1280, 1920)
+SHOWN = {
+    "answer": ("", {}),
+    "curves": ("curves", {}),
+    "attention": ("attention", {}),
+    "attention-buffer": ("attention", {"part": "In the buffer"}),
+    "attention-learners": ("attention", {"part": "Every learner on one buffer"}),
+    "attention-road": ("attention", {"task": ROAD}),
+    "replays": ("replays", {}),
+    "film": ("replays", {"part": "Film"}),
+    "findings": ("findings", {}),
+}
+"""the pictures of pages: the page and its choices"""
 MODES: tuple[Mode, ...] = ("light", "dark")
 
 
@@ -107,17 +118,16 @@ def _grow(page: "Page") -> None:
 
 
 def stories(store: Path) -> list[tuple[str, str, list[int]]]:
-    """The run with the most fits and the road-and-rocks run with the most: page, run id, steps."""
+    """The run with the most fits and the road-and-rocks run with the most: name, run id, steps."""
     runs = [run for run in readers.listing(str(store)).runs if widgets.differs(run)]
+    fits = {r.run_id: list(readers.profiles(r).env_step) for r in runs if r.env != ROAD}
+    maps = {r.run_id: road.steps(r) for r in runs if r.env == ROAD}
     found = []
-    for view, steps in (
-        ("weights", {r.run_id: list(readers.profiles(r).env_step) for r in runs if r.env != ROAD}),
-        ("road", {r.run_id: road.steps(r) for r in runs if r.env == ROAD}),
-    ):
-        run_id = max(steps, key=lambda name: len(steps[name]), default=None)
+    for name, steps in (("attention", fits), ("road", maps)):
+        run_id = max(steps, key=lambda run_id: len(steps[run_id]), default=None)
         if run_id is not None and len(steps[run_id]) >= FEWEST:
             shown = spread(len(steps[run_id]), FRAMES)
-            found.append((view, run_id, [int(steps[run_id][i]) for i in shown]))
+            found.append((name, run_id, [int(steps[run_id][i]) for i in shown]))
     return found
 
 
@@ -157,9 +167,9 @@ def scaled(frame: Image.Image, width: int) -> Image.Image:
 
 
 def take(store: Path, folder: Path) -> int:
-    """Write `<page>-<width>-<mode>.png` for every page into `folder`. Returns 0.
+    """Write `<name>-<width>-<mode>.png` of `SHOWN` into `folder`. Returns 0.
 
-    Also `weights.webp` and `road.webp`, animations over the fits of a run.
+    Also `attention.webp` and `road.webp`, animations over the fits of a run.
 
     Raises UserError if the browser is missing, or if an animation would be too large.
     """
@@ -172,23 +182,22 @@ def take(store: Path, folder: Path) -> int:
                 context = browser.new_context(
                     viewport={"width": width, "height": 900}, color_scheme=mode
                 )
-                for view in VIEWS:
+                for name, (path, choices) in SHOWN.items():
                     page = context.new_page()
-                    page.goto(links.opened(view.PATH))
-                    name = view.PATH or "live"
+                    page.goto(links.opened(f"{path}?{urlencode(choices)}".removesuffix("?")))
                     target = folder / f"{name}-{width}-{mode}.png"
                     target.write_bytes(compact(settled_picture(page)))
                     print(target, flush=True)
                     page.close()
                 context.close()
-        for view, run_id, steps in stories(store):
+        for name, run_id, steps in stories(store):
             page = browser.new_page(viewport=ANIMATED, color_scheme="light")
             frames = []
             for step in steps:
-                page.goto(f"{links.address}/{view}?{urlencode({'run': run_id, 'step': step})}")
+                page.goto(f"{links.address}/attention?{urlencode({'run': run_id, 'step': step})}")
                 frames.append(Image.open(io.BytesIO(settled_picture(page, whole=False))))
             page.close()
-            target = folder / f"{view}.webp"
+            target = folder / f"{name}.webp"
             target.write_bytes(animation(frames, SHOWN_WIDTHS, QUALITIES, DURATIONS_MS))
             print(target, flush=True)
     return 0

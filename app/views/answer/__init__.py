@@ -49,7 +49,8 @@ def page(scope: Scope) -> None:
     else:
         other = None
     env = groups[one][0].env
-    st.header(f"{task(env)}: does {one} look at the right data, and does that help?", anchor=False)
+    asked = text.markdown(f"{task(env)}: does {one} look at the right data, and does that help?")
+    st.header(asked, anchor=False)
     alive = any(run.status.alive for runs in groups.values() for run in runs)
     cards = st.fragment(_cards, run_every=REFRESH_S if alive else None)
     cards(scope, {title: groups[title] for title in (one, other) if title})
@@ -169,14 +170,15 @@ def _card(
 
 def _side(title: str, runs: Sequence[RunReader]) -> Side:
     frames = [readers.metrics(run) for run in runs]
+    name = text.markdown(title)  # it stands in sentences
     return Side(
-        title,
+        name,
         _uniform(runs[0]),
         tuple(run.seed for run in runs),
         [readers.profiles(run) for run in runs],
         [widgets.curve(run, "eval/return") for run in runs],
         [
-            exams_of(run.run_id, run.learner, run.seed, title, frame)
+            exams_of(run.run_id, run.learner, run.seed, name, frame)
             for run, frame in zip(runs, frames, strict=True)
         ],
         counted_from(frames),

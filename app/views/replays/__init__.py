@@ -2,6 +2,7 @@
 
 import streamlit as st
 
+from app import text
 from app.data import readers
 from app.data.called import names
 from app.parts import address, rerun
@@ -32,5 +33,6 @@ def _recording(scope: Scope) -> None:
     if run is None:
         st.info("No run here has a Rerun recording; `tom runs export RUN --format rrd` makes one.")
         return
-    st.caption(f"Everything that {names(scope.runs)[run.run_id]} has recorded, in Rerun's viewer.")
+    called = text.markdown(names(scope.runs)[run.run_id])
+    st.caption(f"Everything that {called} has recorded, in Rerun's viewer.")
     rerun.frame(run)

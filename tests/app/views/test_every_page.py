@@ -10,7 +10,7 @@ import pytest
 from streamlit.proto.ForwardMsg_pb2 import ForwardMsg
 from streamlit.runtime.scriptrunner_utils.script_run_context import ScriptRunContext
 from streamlit.testing.v1 import AppTest
-from studio_pages import TIMEOUT_S, captions, draw, figures, set_links
+from studio_pages import TIMEOUT_S, draw, figures, set_links
 from studio_runs import PENDULUM_TOM, ROAD_TOM, change
 
 from app.__main__ import _readable
@@ -18,7 +18,6 @@ from app.data import readers, studies, weighings
 from app.links import Links
 from app.parts import shortlinks
 from app.router import VIEWS
-from app.views import live
 from tom.errors import UserError
 from tom.record import Store, layout, manage
 from tom.record.reader import RunReader
@@ -27,11 +26,27 @@ from tom.reports.weighing_files import REPORT
 
 pytestmark = pytest.mark.usefixtures("studio")
 PAGES = [view.name for view in VIEWS]
-OF_PARTS = [page for page in PAGES if page not in ("compare", "studies")]
+PENDULUM, ROAD = "inverted-pendulum", "road-and-rocks"
+ALL_PARTS = {  # every page with each of its parts
+    "answer": [{}],
+    "curves": [{"part": part} for part in ("Curves", "Statistics", "Settings", "Runs")],
+    "attention": [
+        {"part": part} for part in ("Over time", "In the buffer", "Every learner on one buffer")
+    ],
+    "replays": [{"part": part} for part in ("One episode", "Side by side", "Film", "Rerun")],
+    "findings": [{}],
+}
+EVERYWHERE = [(page, more) for page, parts in ALL_PARTS.items() for more in parts]
+everywhere = pytest.mark.parametrize(
+    ("page", "more"),
+    EVERYWHERE,
+    ids=lambda value: value if isinstance(value, str) else value.get("part", ""),
+)
+OF_PARTS = [(page, more) for page, more in EVERYWHERE if page != "findings"]
 PARTS = ("buffer", "checkpoint", "episodes", "fields", "policies", "weights")
 LISTED = 0o444
 """the mode of a folder whose names can be listed and whose files cannot be opened"""
-REPEATING = {"live": [5.0], "replays": [4.0]}
+REPEATING = {"answer": [5.0, 5.0], "replays": [5.0, 4.0]}
 """seconds between two looks, which draw nothing, at what may have begun elsewhere"""
 
 
@@ -46,9 +61,7 @@ def test_the_pages_of_an_empty_store_say_what_to_run(
     assert any("tom train" in command and "'" in command for command in commands)
 
 
-@pytest.mark.parametrize(
-    "view", ["live", "compare", "weights", "regions", "replays", "probe", "studies"]
-)
+@pytest.mark.parametrize("view", PAGES)
 def test_a_page_at_rest_redraws_nothing(view: str, monkeypatch: pytest.MonkeyPatch) -> None:
     intervals = []
     enqueue = ScriptRunContext.enqueue
@@ -60,17 +73,24 @@ def test_a_page_at_rest_redraws_nothing(view: str, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(ScriptRunContext, "enqueue", noted)
     draw(view)
-    assert intervals == REPEATING.get(view, [])
+    assert intervals == REPEATING.get(view, [5.0])
+
+
+def test_every_part_of_every_page_is_asked_for_below() -> None:
+    assert list(ALL_PARTS) == PAGES
+    for page, parts in ALL_PARTS.items():
+        controls = [one for one in draw(page).button_group if one.key == "part"]
+        named = [option.content for one in controls for option in one.proto.options]
+        assert named == [more["part"] for more in parts if more]
 
 
 # Addresses
 
 
-@pytest.mark.parametrize("view", ["live", "weights"])
-def test_a_zoom_on_one_run_is_none_of_another(view: str) -> None:
+def test_a_zoom_on_one_run_is_none_of_another() -> None:
     def zooms(run_id: str) -> list[str]:
-        chosen = {"runs" if view == "live" else "run": run_id}
-        return [figure["layout"]["uirevision"] for figure in figures(draw(view, **chosen))]
+        drawn = figures(draw("attention", run=run_id))
+        return [figure["layout"]["uirevision"] for figure in drawn]
 
     first, second = zooms(PENDULUM_TOM), zooms("pendulum-tom-1")
     assert first
@@ -79,59 +99,60 @@ def test_a_zoom_on_one_run_is_none_of_another(view: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("view", "run", "steps", "key", "more"),
+    ("view", "run", "steps", "more"),
     [
-        ("weights", PENDULUM_TOM, lambda run: run.profiles().env_step.tolist(), "step", {}),
-        ("regions", PENDULUM_TOM, RunReader.snapshot_steps, "step", {}),
-        ("replays", PENDULUM_TOM, RunReader.evaluation_steps, "step", {}),
-        ("road", ROAD_TOM, RunReader.snapshot_steps, "step", {}),
-        ("probe", PENDULUM_TOM, RunReader.policy_steps, "at", {}),
-        ("compare", ROAD_TOM, RunReader.evaluation_steps, "until",
-         {"show": "Side by side", "env": "road-and-rocks"}),
+        ("attention", PENDULUM_TOM, lambda run: run.profiles().env_step.tolist(), {}),
+        ("attention", PENDULUM_TOM, RunReader.snapshot_steps, {"part": "In the buffer"}),
+        ("attention", ROAD_TOM, RunReader.snapshot_steps, {}),
+        ("replays", ROAD_TOM, RunReader.evaluation_steps, {}),
+        ("replays", ROAD_TOM, RunReader.evaluation_steps, {"part": "Side by side"}),
     ],
 )  # fmt: skip
-def test_a_link_with_a_step_that_was_not_kept_shows_the_nearest(
+def test_a_link_with_a_step_that_was_not_kept_shows_the_one_before(
     view: str,
     run: str,
     steps: Callable[[RunReader], list[int]],
-    key: str,
     more: dict[str, str],
     store: Path,
 ) -> None:
-    first, *_ = steps(RunReader(store / run))
-    app = draw(view, run=run, **more, **{key: str(first + 1)})
-    assert app.query_params[key] == str(first)
-    assert "not kept" in captions(app)
+    first, *others = steps(RunReader(store / run))
+    assert others
+    app = draw(view, run=run, **more, step=str(first + 1))
+    assert app.query_params["step"] == str(first)
 
 
-def test_runs_are_chosen_by_name_and_kept_in_the_address_by_id() -> None:
-    app = draw("weights", run=PENDULUM_TOM)
-    choice = app.selectbox(key="run")
-    assert choice.options[choice.index or 0] == "Inverted pendulum · TOM · seed 0"
-    choice.select("pendulum-tom-1").run()
-    assert app.query_params["run"] == "pendulum-tom-1"
-    assert draw("live", runs=PENDULUM_TOM).multiselect(key="runs").value == [PENDULUM_TOM]
+def test_a_link_to_a_run_shows_its_task() -> None:
+    for run, task in ((PENDULUM_TOM, PENDULUM), (ROAD_TOM, ROAD)):
+        app = draw("attention", run=run)
+        assert app.selectbox(key="task").value == task
+        assert dict(app.query_params) == {"run": run}
+    assert draw("attention", run=PENDULUM_TOM, task=ROAD).selectbox(key="task").value == ROAD
+
+
+def test_a_run_that_is_not_there_is_named(own: Path) -> None:
+    manage.trash(Store(own), TRASHED)
+    for run in (TRASHED, "no-such-run"):
+        said = [warning.value.replace("\\", "") for warning in draw("curves", run=run).warning]
+        assert any(run in words for words in said)
+    assert not draw("curves", run=PENDULUM_TOM).warning
 
 
 # Hostile and damaged runs
 
 
-@pytest.mark.parametrize(
-    "view", ["live", "compare", "weights", "regions", "probe", "replays", "road"]
-)
+@everywhere
 def test_a_hostile_and_damaged_run_is_shown_beside_the_others(
-    view: str, own: Path, monkeypatch: pytest.MonkeyPatch
+    page: str, more: dict[str, str], own: Path
 ) -> None:
-    monkeypatch.setattr(live, "RECENT_S", -1)
     bad = shutil.copytree(own / ROAD_TOM, own / "bad")
     change(bad / layout.CONFIG, learner="<img src=http://evil/x.png>![x](http://evil/y.png)")
     (bad / layout.STATUS).write_text("nonsense")
     (bad / "weights" / "profiles.jsonl").write_text('{"env_step": 1}\n{"bins"')
-    app = draw(view, **({"run": "bad"} if view in ("regions", "replays") else {}))
-    assert figures(app)
-    assert view in ("weights", "probe") or any("bad" in warning.value for warning in app.warning)
+    app = draw(page, task=ROAD, run="bad", **more)
+    if more.get("part") in ("Over time", "Curves", "Runs"):
+        assert any("bad" in warning.value for warning in app.warning)
     assert "<img" not in json.dumps(figures(app))
-    for element in (*app.markdown, *app.caption, *app.warning):
+    for element in (*app.markdown, *app.caption, *app.warning, *app.subheader, *app.header):
         assert not re.search(r"(?<!\\)!\[|(?<!\\)<img", element.value)
     for block in app.get("html"):
         assert "<img" not in block.proto.body
@@ -143,15 +164,15 @@ def test_names_of_metrics_and_learners_are_shown_as_words(own: Path) -> None:
     (folder / layout.METRICS_TABLE).unlink()
     rows = [{"env_step": step, metric: step, "eval/return": 1.0} for step in (100, 200)]
     (folder / layout.METRICS).write_text("".join(json.dumps(row) + "\n" for row in rows))
-    app = draw("live", runs=PENDULUM_TOM, curves=metric)
-    (heading,) = [part for part in app.markdown if "evil" in part.value]
-    for shown in (heading.value, heading.proto.help):
-        assert re.sub(r"[\\\u2060]", "", shown.strip("*")) == metric
+    app = draw("curves", run=PENDULUM_TOM, panel=metric)
+    (heading, table) = [part for part in app.markdown if "evil" in part.value]
+    for shown in (heading.value, heading.proto.help, table.value):
+        assert re.sub(r"[\\\u2060]", "", shown.strip("*")).startswith(metric)
         assert not re.search(r"(?<!\\)(!\[|<img|:material)", shown)
-    figure = figures(draw("compare", text=PENDULUM_TOM, x=metric))[0]
+    figure = figures(draw("curves", find=PENDULUM_TOM, run=PENDULUM_TOM, x=metric))[0]
     assert figure["layout"]["xaxis"]["title"]["text"].startswith("&lt;img src=x&gt;")
     change(own / ROAD_TOM / layout.CONFIG, learner="<img src=x>")
-    names = [line.get("name") for line in figures(draw("road", run=ROAD_TOM))[0]["data"]]
+    names = [line.get("name") for line in figures(draw("attention", run=ROAD_TOM))[0]["data"]]
     assert "&lt;img src=x&gt; policy" in names
 
 
@@ -175,16 +196,18 @@ def test_a_closed_run_is_named_and_the_others_are_shown(own: Path, page: str):
     ("part", "mode"),
     [*((part, LISTED) for part in PARTS), *((p, 0) for p in ("buffer", "checkpoint", "weights"))],
 )
-@pytest.mark.parametrize("page", OF_PARTS)
-def test_a_closed_part_of_a_run_leaves_the_pages_whole(own: Path, page: str, part: str, mode: int):
+@pytest.mark.parametrize(("page", "more"), OF_PARTS)
+def test_a_closed_part_of_a_run_leaves_the_pages_whole(
+    own: Path, page: str, more: dict[str, str], part: str, mode: int
+):
     for run in (PENDULUM_TOM, ROAD_TOM):
         (own / run / part).chmod(mode)
-        draw(page, run=run)
+        draw(page, run=run, **more)
 
 
 TRASHED = "pendulum-mle-0"
-CODE = "56de132e"
-"""of the short link to `compare?env=hopper`"""
+CODE = "f1a5f75e"
+"""of the short link to `curves?task=hopper`"""
 
 
 @pytest.fixture
@@ -197,7 +220,7 @@ def filled(own: Path) -> Path:
     (weighed / REPORT).write_text(json.dumps(report))
     study.mkdir(parents=True)
     write_report(Report("shipped", "a claim", ["found"]), study)
-    assert shortlinks.save(own, "compare", "env=hopper") == CODE
+    assert shortlinks.save(own, "curves", "task=hopper") == CODE
     return own
 
 
@@ -224,11 +247,11 @@ def test_what_lies_behind_a_link_is_not_shown_and_not_written(filled: Path, tmp_
     assert len(problems) == len(layout.BESIDE_RUNS)
     assert all(any(name in problem for problem in problems) for name in layout.BESIDE_RUNS)
     with pytest.raises(UserError, match="link"):
-        shortlinks.save(filled, "compare", "env=walker2d")
+        shortlinks.save(filled, "curves", "task=walker2d")
     assert [path.stem for path in (tmp_path / "outside/.views").iterdir()] == [CODE]
     for page in PAGES:
         draw(page, run=TRASHED)
-    draw("compare", show="Runs")
+    draw("curves", part="Runs")
 
 
 @pytest.mark.usefixtures("modes_count")
@@ -239,4 +262,4 @@ def test_what_may_not_be_entered_is_not_shown(filled: Path):
     assert found(filled) == [False] * 4
     for page in PAGES:
         draw(page, run=TRASHED)
-    draw("compare", show="Runs")
+    draw("curves", part="Runs")

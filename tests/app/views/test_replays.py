@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from streamlit.testing.v1 import AppTest
-from studio_pages import TIMEOUT_S, array, captions, draw, figures, set_links, trace
+from studio_pages import TIMEOUT_S, array, draw, figures, metrics, recorded, set_links, trace
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
 
 from app.data import replays
@@ -128,7 +128,7 @@ def first_step(replay: Replay) -> tuple[torch.Tensor, torch.Tensor]:
 def test_the_page_shows_the_chosen_episode(store: Path, run: RunReader) -> None:
     app = draw("replays", run=PENDULUM_TOM, episode="2", frame="3")
     episodes = run.episodes(400)
-    values = {metric.label: metric.value for metric in app.metric}
+    values = metrics(app)
     assert values["return"] == f"{episodes[1].undiscounted_return:,.1f}"
     assert values["length"] == f"{episodes[1].length:,} steps"
     returns, reward, error = figures(app)
@@ -137,9 +137,9 @@ def test_the_page_shows_the_chosen_episode(store: Path, run: RunReader) -> None:
     assert array(chosen["y"]) == pytest.approx([episodes[1].undiscounted_return])
     assert chosen["meta"] == [2]
     curve = trace(returns, name="mean of the evaluation")
-    mean = run.metrics()[["env_step", "eval/return"]].dropna()
-    assert array(curve["x"]).tolist() == mean["env_step"].tolist()
-    assert array(curve["y"]) == pytest.approx(np.array(mean["eval/return"]))
+    steps, means = recorded(store, PENDULUM_TOM)
+    assert array(curve["x"]).tolist() == steps
+    assert array(curve["y"]) == pytest.approx(means)
     replay = replays.load(run, 400, 1, 25)
     assert replay is not None
     assert array(trace(reward, name="real")["y"]) == pytest.approx(episodes[1].reward)
@@ -147,14 +147,17 @@ def test_the_page_shows_the_chosen_episode(store: Path, run: RunReader) -> None:
     assert array(error["data"][0]["y"]) == pytest.approx(replay.error)
 
 
-def test_an_episode_is_shown_in_rerun_and_one_that_is_not_there_is_none(
-    store: Path, run: RunReader, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def with_viewers(studio: Links, store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     set_links(Links(store=str(store), port=8600, rerun_port=9090, key="key"), monkeypatch)
+
+
+@pytest.mark.usefixtures("with_viewers")
+def test_an_episode_is_shown_in_rerun_and_one_that_is_not_there_is_none(
+    store: Path, run: RunReader
+) -> None:
     app = draw("replays", run=PENDULUM_TOM, episode="2", ghost="10 steps", viewer="Rerun")
-    [frame] = app.get("iframe")
-    [address] = parse_qs(urlsplit(frame.proto.src).query)["url"]
-    assert urlsplit(address).path == f"/rrd/{PENDULUM_TOM}/episode-400-1-10.rrd"
+    assert asked_of_rerun(app) == f"/rrd/{PENDULUM_TOM}/episode-400-1-10.rrd"
     content = pages.episode(str(store), PENDULUM_TOM, 400, 1, 10)
     assert content is not None
     assert content.startswith(b"RRF2")
@@ -164,43 +167,80 @@ def test_an_episode_is_shown_in_rerun_and_one_that_is_not_there_is_none(
     assert replays.load(run, 401, 0, 10) is None
 
 
+@pytest.mark.usefixtures("with_viewers")
+def test_all_that_a_run_has_recorded_is_shown_in_rerun() -> None:
+    app = draw("replays", run=ROAD_TOM, part="Rerun")
+    assert asked_of_rerun(app) == f"/rrd/{ROAD_TOM}/run.rrd"
+
+
+def asked_of_rerun(app: AppTest) -> str:
+    """The path of the recording that the page's only frame asks for."""
+    [frame] = app.get("iframe")
+    [address] = parse_qs(urlsplit(frame.proto.src).query)["url"]
+    return urlsplit(address).path
+
+
 CLICK = """
 import streamlit as st
-from app.parts import address
+from app.parts import address, scope
 from app.parts.plot import Point
 from app.views import replays
+from app.views.replays import episode
 
 address.visit("replays")
-st.button("click", on_click=replays._choose_episode, args=(Point(1, 0.0, 0, None),))
-replays.page()
+st.button("click", on_click=episode._choose_episode, args=(Point(1, 0.0, 0, None),))
+replays.page(scope.draw())
 address.write()
 """
 
 
-def test_a_click_on_an_evaluation_without_episodes_opens_the_nearest() -> None:
+def shown_step(app: AppTest) -> int:
+    """The step of the evaluation that the chart of returns marks."""
+    return int(array(trace(figures(app)[0], name="the one shown")["x"])[0])
+
+
+def test_a_click_on_an_evaluation_without_episodes_opens_the_one_before() -> None:
     app = AppTest.from_string(CLICK, default_timeout=TIMEOUT_S)
     app.query_params["run"] = ROAD_TOM
-    assert app.run().select_slider(key="step").value == 60
+    assert shown_step(app.run()) == 60
     app.button[0].click().run()
     assert not app.exception
-    assert app.select_slider(key="step").value == 0
+    assert shown_step(app) == 0
     assert app.query_params["step"] == "0"
 
 
-def test_a_step_of_one_task_is_no_choice_in_another() -> None:
+def test_the_step_lasts_when_another_run_is_chosen() -> None:
     app = draw("replays", run=ROAD_TOM, step="30")
-    app.selectbox(key="run").select(ROAD_MLE).run()
-    assert app.select_slider(key="step").value == 30
-    app.selectbox(key="run").select(PENDULUM_TOM).run()
-    assert "nearest" not in captions(app)
-    app.selectbox(key="run").select(ROAD_TOM).run()
-    assert app.select_slider(key="step").value == 30  # that of this task
+    for run_id, step in ((ROAD_MLE, 30), (ROAD_TOM, 30)):
+        app.session_state["run"] = [run_id]
+        assert shown_step(app.run()) == step
+        assert app.query_params["run"] == run_id
 
 
 def test_a_frame_of_a_longer_episode_is_forgotten() -> None:
     app = draw("replays", run=PENDULUM_TOM, step="400", frame="999", episode="77")
     assert app.slider(key="replay frame").value == 0
     assert app.selectbox(key="episode").value == 1
+
+
+def test_runs_stand_side_by_side_with_their_returns_and_weights(store: Path) -> None:
+    chosen = [PENDULUM_TOM, "pendulum-mle-0"]
+    app = draw("replays", task="inverted-pendulum", part="Side by side", side=chosen)
+    assert app.multiselect(key="side").value == chosen
+    [figure] = figures(app)
+    lines = [line for line in figure["data"] if line["type"] == "scatter" and line.get("y")]
+    for run_id in chosen:
+        steps, means = recorded(store, run_id)
+        assert any(
+            array(line["x"]).tolist() == steps and array(line["y"]) == pytest.approx(means)
+            for line in lines
+        )
+    maps = [line for line in figure["data"] if line["type"] == "heatmap"]
+    for run_id, drawn in zip(chosen, maps, strict=True):
+        profiles = RunReader(store / run_id).profiles()
+        assert array(drawn["z"]).shape[::-1] == profiles.bins.shape
+    app.multiselect(key="side").set_value(chosen[:1]).run()
+    assert not figures(app)
 
 
 def test_a_car_looks_where_it_drives() -> None:

@@ -1,4 +1,4 @@
-"""Studies: the page shows what `tom reproduce` wrote, and nothing that it did not."""
+"""Findings: the page shows what `tom reproduce` wrote, and nothing that it did not."""
 
 import shutil
 from dataclasses import replace
@@ -16,7 +16,7 @@ from studio_runs import PENDULUM_TOM, change
 from app.data import readers, studies
 from app.links import Links
 from app.servers.pages import routes
-from app.views.studies import _running
+from app.views.findings import _running
 from tom.record import layout
 from tom.reports.report import Report, write_csv, write_report
 
@@ -62,7 +62,7 @@ def test_a_study_in_a_folder_of_another_name_has_its_commands_question(reports: 
 
 
 def test_the_page_shows_a_studys_figures_and_numbers(reports: Path, store: Path) -> None:
-    app = draw("studies", study="focus")
+    app = draw("findings", study="focus")
     summary, _, errors = (frame.value for frame in app.dataframe)
     pd.testing.assert_frame_equal(summary, pd.DataFrame(ROWS))
     assert len(errors) == 200
@@ -75,18 +75,29 @@ def test_the_page_shows_a_studys_figures_and_numbers(reports: Path, store: Path)
     assert all(words[3:] in ([], ["--store", str(store)]) for words in offered)
 
 
+def test_a_card_says_its_question_and_finding_and_opens_the_study(reports: Path) -> None:
+    app = draw("findings")
+    asked = {studies.QUESTIONS[name] for name in ("road", "focus")}
+    assert {card.value for card in app.subheader} == asked
+    assert "**found**" in [words.value for words in app.markdown]
+    assert len(app.image) == 2
+    app.button(key="open focus").click().run()
+    assert app.query_params["study"] == "focus"
+    assert app.header[0].value == studies.QUESTIONS["focus"]
+
+
 def test_a_study_says_the_claim_the_verdict_and_the_command(reports: Path) -> None:
     origin = {"command": "tom reproduce road --jobs 1", "n": "8 seeds"}
     report = Report("Road", "the *claim*", ["It holds.", "But <b>"], origin=origin)
     write_report(report, reports / "road")
-    app = draw("studies", study="road")
+    app = draw("findings", study="road")
     words = "\n".join(element.value for element in app.markdown)
     assert r"the \*claim\*" in words
     assert "- It holds" in words
     assert r"But \<b\>" in words
     assert app.code[0].value == "tom reproduce road --jobs 1"
     (reports / "road" / "report.json").write_text('{"claim": 1}')  # damaged: the rest is shown
-    app = draw("studies", study="road")
+    app = draw("findings", study="road")
     assert "claim" not in "\n".join(element.value for element in app.markdown)
     assert len(app.image) == 1
 
@@ -103,7 +114,7 @@ def test_studies_that_came_with_the_store_are_shown_and_ones_own_before_them(
     assert list(found) == ["road", "focus", "tabular"]
     assert found["road"].claim == "a claim"
     assert found["tabular"].claim == "shipped"
-    assert "shipped" in "\n".join(e.value for e in draw("studies", study="tabular").markdown)
+    assert "shipped" in "\n".join(e.value for e in draw("findings", study="tabular").markdown)
     assert not readers.listing(str(shipped.parent)).problems  # and they are no broken runs
 
 
@@ -111,7 +122,7 @@ def test_a_study_is_run_from_the_page_and_one_that_fails_says_why(
     own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    app = draw("studies")
+    app = draw("findings")
     for state in ("failed", "made"):
         if state == "made":
             change(own / PENDULUM_TOM / layout.CONFIG, preset="paper")
@@ -121,18 +132,19 @@ def test_a_study_is_run_from_the_page_and_one_that_fails_says_why(
         app.run()
         assert bool(app.error) == (state == "failed")
     assert [study.name for study in studies.listing(studies.FOLDER)] == ["returns"]
-    assert app.code[0].value.startswith("tom reproduce returns --store")
+    whole = draw("findings", study="returns")
+    assert whole.code[0].value.startswith("tom reproduce returns --store")
 
 
 def test_numbers_that_are_none_and_damaged_files_leave_the_rest(reports: Path) -> None:
     write_csv(reports / "focus" / "summary.csv", [{"steps": np.inf}, {"steps": 5.0}])
-    shown = draw("studies", study="focus").dataframe[0].value["steps"]
+    shown = draw("findings", study="focus").dataframe[0].value["steps"]
     assert (np.isnan(shown[0]), shown[1]) == (True, 5)
     (reports / "focus" / "summary.csv").write_bytes(b'"\xff')
     broken = {"empty.png": b"", "torn.png": b"\x89PNG\r\n\x1a\n and no more"}
     for name, content in broken.items():
         (reports / "focus" / name).write_bytes(content)
-    app = draw("studies", study="focus")
+    app = draw("findings", study="focus")
     said = "".join(warning.value.replace("\\", "") for warning in app.warning)
     assert all(name in said for name in ("summary.csv", *broken))
     assert (len(app.dataframe), len(app.image)) == (2, 1)
