@@ -106,7 +106,9 @@ def draw(scope: Scope) -> None:
 def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunReader]) -> tuple[str, str, str]:
     """The chosen environment, metric and score of a run."""
     envs = sorted({run.env for run in runs})
-    env = address.choose_one(row[0].selectbox, "Environment compared", envs, "task", envs[0])
+    env = envs[0]
+    if len(envs) > 1:
+        env = address.choose_one(row[0].selectbox, "Task compared", envs, "env", env)
     metric = address.choose_one(
         row[1].segmented_control, "Of", list(measure.METRICS), "of", measure.RETURN, required=True
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 import pandas as pd
 import streamlit as st
 
@@ -26,7 +27,7 @@ def draw(scope: Scope) -> None:
     """A table of the runs that pass the filters, with their eyes; below it actions on them."""
     runs = scope.runs
     table = overview(runs)
-    table.insert(0, "shown", [run in scope.shown for run in runs])
+    table.insert(0, "shown", np.array([run in scope.shown for run in runs], bool))
     apart = {path: of for path, of in differences(runs).items() if path not in ALREADY}
     for path, of in reversed([*apart.items()][:MOST_SETTINGS]):
         table.insert(2, path, of)

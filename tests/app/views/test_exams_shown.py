@@ -1,4 +1,4 @@
-"""Exams on the pages, of real recorded runs: Compare, Live, Weights and Probe."""
+"""Exams on the pages, of real recorded runs: Answer and Attention."""
 
 import json
 from collections.abc import Mapping
@@ -7,66 +7,44 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studio_pages import array, captions, draw, figures, metrics, recorded, trace
-from studio_runs import PENDULUM_TOM, ROAD_TOM, info
+from streamlit.testing.v1 import AppTest
+from studio_pages import array, captions, draw, figures, metrics, recorded
+from studio_runs import PENDULUM_TOM
 
-from app.data import readers
 from app.data.exams import Exams, ranking
-from app.views.compare.measure import in_order
-from app.views.live import usual
-from app.views.probe.exams import table, verdict
-from app.views.weights.exam import about_weights, of_which_weights
+from app.views.answer.exams import table, verdict
+from app.views.attention.exam import about_weights, of_which_weights
 from tom.readable import short
 from tom.record import layout
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
-PENDULUM_MLE = "pendulum-mle-0"
+PENDULUM, PENDULUM_MLE = "inverted-pendulum", "pendulum-mle-0"
 
 
-def test_compare_puts_the_exams_of_seeds_together(store: Path) -> None:
-    lines = (store / PENDULUM_TOM / layout.METRICS).read_text().splitlines()
-    told = [json.loads(line)["env_step"] for line in lines]
-    assert told != sorted(told)  # an exam is told under the step of its fit
-    app = draw("compare", env="inverted-pendulum", measure="another metric")
-    assert app.selectbox(key="metric").value == "exam/error"
-    found = [recorded(store, f"pendulum-tom-{seed}", "exam/error") for seed in (0, 1)]
-    line = trace(figures(app)[0], name="TOM (n = 2)")
-    assert found[0][0] == found[1][0] == array(line["x"]).tolist()
-    assert array(line["y"]) == pytest.approx(np.mean([values for _, values in found], 0))
-    shown = app.dataframe[0].value.set_index("learner")
-    assert shown.loc["TOM", "highest"] == pytest.approx(np.mean([max(v) for _, v in found]))
-    assert "best" not in shown.columns
-    names = ["critic/q", "exam/footprint", "env_step", "exam/error", "exam/nll", "actor/loss"]
-    first = ["exam/error", "exam/footprint"]
-    assert in_order(names) == [*first, "actor/loss", "critic/q", "exam/nll"]
+def numbers_behind(**query: str) -> AppTest:
+    """Answer with its numbers opened."""
+    app = draw("answer", task=PENDULUM, **query)
+    before = len(figures(app))
+    app.session_state["numbers behind"] = True  # as a click on its title does
+    app.run()
+    assert not app.exception
+    assert len(figures(app)) > before
+    return app
 
 
-def test_live_charts_the_exams_of_a_training(store: Path) -> None:
-    run = info(store, "pendulum-tom-1")
-    drawn = [name for name in readers.points(run) if name in ("exam/footprint", "exam/error")]
-    lines = [name for name in drawn if readers.points(run)[name] > 1]
-    assert "exam/error" in lines
-    assert set(lines) <= set(usual([run]))
-    app = draw("live", runs="pendulum-tom-1")
-    place = usual([run]).index("exam/error")
-    line = figures(app)[3 + place]["data"][0]
-    assert array(line["y"]).tolist() == recorded(store, "pendulum-tom-1", "exam/error")[1]
-    assert not any(name.startswith("exam/") for name in usual([info(store, ROAD_TOM)]))
-
-
-def test_weights_shows_the_exam_of_the_fit_that_is_looked_at(store: Path) -> None:
+def test_attention_shows_the_exam_of_the_fit_that_is_looked_at(store: Path) -> None:
     steps, errors = recorded(store, PENDULUM_TOM, "exam/error")
     ahead = dict(zip(*recorded(store, PENDULUM_TOM, "exam/rollout_error"), strict=True))
     for step, error in zip(steps, errors, strict=True):
-        app = draw("weights", run=PENDULUM_TOM, step=str(step))
+        app = draw("attention", task=PENDULUM, run=PENDULUM_TOM, step=str(step))
         shown = metrics(app)
         assert shown["error, one step"] == short(error)
         assert shown["error, five steps"] == short(ahead[step])
 
 
-def test_probe_answers_from_exams_first(store: Path) -> None:
-    app = draw("probe", run=PENDULUM_TOM)
+def test_the_numbers_behind_are_those_of_the_exams(store: Path) -> None:
+    app = numbers_behind()
     [said] = [part.value for part in app.markdown if "Too few seeds" in part.value]
     # Only the last fits of TOM weigh, so only these count.
     tables = [RunReader(store / f"pendulum-tom-{seed}").metrics() for seed in (0, 1)]
@@ -90,7 +68,7 @@ def points(one: dict) -> list[tuple[float, float]]:
     return list(zip(array(one["x"]).tolist(), array(one["y"]).tolist(), strict=True))
 
 
-def test_probe_names_the_runs_that_sat_no_exam(own: Path) -> None:
+def test_runs_are_named_that_sat_no_exam(own: Path) -> None:
     rows = own / PENDULUM_MLE / layout.METRICS  # as before exams were recorded
     kept = [
         {name: value for name, value in json.loads(line).items() if not name.startswith("exam/")}
@@ -98,7 +76,7 @@ def test_probe_names_the_runs_that_sat_no_exam(own: Path) -> None:
     ]
     rows.write_text("".join(json.dumps(row) + "\n" for row in kept))
     (own / PENDULUM_MLE / layout.METRICS_TABLE).unlink(missing_ok=True)
-    app = draw("probe", run=PENDULUM_MLE)
+    app = numbers_behind()
     (line,) = [words for words in captions(app).splitlines() if "no exam" in words]
     assert "MLE s0" in line
     assert "TOM" not in line

@@ -1,0 +1,223 @@
+"""Trainings on the first page: the strip of those that run, their cards, the form that starts."""
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from streamlit.testing.v1 import AppTest
+from studio_pages import TIMEOUT_S, draw, recorded, set_links
+from studio_runs import (
+    PENDULUM_TOM,
+    ROAD_MLE,
+    WAITING,
+    altered,
+    change,
+    info,
+    set_status,
+    stand_in,
+    trains_elsewhere,
+)
+
+from app.data import trainings
+from app.data.trainings import Started
+from app.links import Links
+from app.parts import start, trainings_strip
+from app.parts.cards import NAMED, figures, head, settings_line
+from tom.envs import ENVS, OTHERS, Task
+from tom.errors import UserError
+from tom.record import layout
+from tom.record.lock import acquire
+from tom.training.presets import resolve
+
+pytestmark = pytest.mark.usefixtures("studio")
+SECOND = "pendulum-tom-1"
+
+
+def shown(app: AppTest) -> list[str]:
+    """The runs of the cards, in their order, whose heads have the ids as titles."""
+    heads = [block.proto.body for block in app.get("html") if "title=" in block.proto.body]
+    return [body.split('title="')[1].split('"')[0] for body in heads]
+
+
+def test_the_strip_has_what_trains_and_for_a_while_what_has_ended(own: Path) -> None:
+    for run in own.iterdir():
+        if (run / layout.STATUS).exists():
+            set_status(run, heartbeat=time.time() - trainings_strip.RECENT_S - 1)
+    assert shown(draw("answer")) == []
+    set_status(own / PENDULUM_TOM, heartbeat=time.time())
+    set_status(own / ROAD_MLE, state="running", heartbeat=time.time() - 1000)
+    trains_elsewhere(own / SECOND)
+    app = draw("answer")
+    assert shown(app) == [SECOND, PENDULUM_TOM]
+    values = {metric.label: metric.value for metric in app.metric}  # those of the last card
+    assert values["last return"] == f"{recorded(own, PENDULUM_TOM)[1][-1]:,.1f}"
+
+
+def test_of_many_trainings_that_have_ended_few_are_shown_and_no_small_copy(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ended = info(store, PENDULUM_TOM)
+    recent = altered(ended, status=replace(ended.status, heartbeat=time.time()))
+    assert trainings_strip.just_ended(recent)
+    assert not trainings_strip.just_ended(altered(recent, small_copy=True))
+    monkeypatch.setattr(trainings_strip, "MOST", 2)
+    assert len(shown(draw("answer"))) == 2
+
+
+def test_a_training_that_this_studio_cannot_stop_says_so(own: Path) -> None:
+    trains_elsewhere(own / SECOND)
+    app = draw("answer")
+    app.button(key=f"stop {SECOND} now").click().run()
+    assert not app.exception
+    assert any("another machine" in error.value for error in app.error)
+    assert info(own, SECOND).status.alive
+
+
+def test_a_training_that_was_asked_to_stop_is_not_asked_again(
+    own: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trains_elsewhere(own / SECOND)
+    asked: list[str] = []
+    monkeypatch.setattr(trainings, "stop", lambda _, run_id: asked.append(run_id))
+    app = draw("answer")
+    app.session_state["asked to stop"] = set()
+    app.button(key=f"stop {SECOND} now").click().run()
+    app.run()
+    assert asked == [SECOND]
+    assert not [button for button in app.button if (button.key or "").startswith("stop ")]
+
+
+def test_a_card_names_the_preset_and_the_settings_of_its_own(own: Path) -> None:
+    usual = resolve("inverted-pendulum", "tom", "mended").model_dump(mode="json")
+    units = usual["model"]["hidden"]
+    for name, preset, hidden in (("a", "paper", 8), ("b", "mended", 8), ("c", "mended", units)):
+        folder = shutil.copytree(own / PENDULUM_TOM, own / name)
+        chosen = {**usual, "model": {**usual["model"], "hidden": hidden}}
+        change(folder / layout.CONFIG, run_id=name, preset=preset, config=chosen)
+    runs = {name: info(own, name) for name in "abc"}
+    assert "TOM paper" in head(runs["a"], "paper")
+    assert settings_line(runs["b"]) == "model.hidden 8"
+    assert settings_line(runs["c"]) == ""
+    assert settings_line(runs["a"]).endswith(" more")
+    assert len(settings_line(runs["a"]).split(", ")) == NAMED + 1
+
+
+def test_a_run_that_only_explores_has_no_speed(own: Path) -> None:
+    folder = own / PENDULUM_TOM
+    (folder / layout.METRICS_TABLE).unlink()
+    rows = [{"env_step": step, "time/checkpoint_s": 0.1} for step in (1, 2)]
+    (folder / layout.METRICS).write_text("".join(json.dumps(row) + "\n" for row in rows))
+    trains_elsewhere(folder)
+    set_status(folder, env_steps_per_s=0.0)
+    numbers = dict(figures(info(own, PENDULUM_TOM)))
+    assert numbers["steps / s"] == "-"  # a fit takes no step: that is no speed of 0
+    assert numbers["memory"] == "-"  # of a process that is not here
+    assert not draw("curves", task="inverted-pendulum", find=PENDULUM_TOM).exception
+
+
+def test_a_training_of_this_machine_has_a_size_and_one_of_this_studio_a_log(own: Path) -> None:
+    with closing(acquire(own / SECOND)):
+        alive = {"state": "running", "heartbeat": time.time(), "pid": os.getpid()}
+        set_status(own / SECOND, **alive)
+        assert dict(figures(info(own, SECOND)))["memory"].endswith("B")
+    begun = stand_in(["train"], "print('first'); print('last')")
+    begun.process.wait(TIMEOUT_S)
+    start._started().append(begun)
+    set_status(own / PENDULUM_TOM, pid=begun.process.pid)
+    assert start.log_of(info(own, PENDULUM_TOM)) == "first\nlast"
+    assert start.log_of(info(own, ROAD_MLE)) == ""
+
+
+# The form
+
+
+def form() -> AppTest:
+    """The page after the form was opened."""
+    app = draw("answer")
+    assert not [field for field in app.text_input if (field.key or "").startswith("start")]
+    app.session_state[start.FOLD] = True  # as a click on its title does
+    return app.run()
+
+
+def test_the_form_writes_the_command(store: Path) -> None:
+    app = form()
+    app.selectbox(key="start env").select("hopper").run()
+    app.session_state[start.FOLD] = False
+    app.text_input(key="start seeds").input("0-1").run()
+    app.text_input(key="start set sac.lr").input("0.001").run()
+    assert "2" in app.button(key="start").label
+    shown = next(code.value for code in app.code if "tom train" in code.value)
+    assert shown.startswith("tom train --env hopper --learner tom --preset mended --seed 0")
+    assert shown.endswith(f"--sac.lr=0.001 --store {store}")
+    app.text_input(key="start set sac.discount").input("2").run()
+    assert "discount" in app.error[0].value
+    assert not [button for button in app.button if button.key == "start"]
+
+
+def test_the_preset_is_the_learners_own_until_another_is_chosen() -> None:
+    app = form()
+    app.selectbox(key="start env").select("hopper").run()
+    preset, learner = "start preset", "start learner"
+    assert app.selectbox(key=preset).value == "mended"
+    assert app.selectbox(key=learner).select("mle").run().selectbox(key=preset).value == "paper"
+    app.selectbox(key=preset).select("smoke").run()
+    assert app.selectbox(key=learner).select("tom").run().selectbox(key=preset).value == "smoke"
+    assert not app.warning
+    assert not app.exception
+
+
+def test_the_form_offers_the_tasks_of_plugins_and_says_which_cannot_be_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def broken() -> Task:
+        raise UserError("task broken cannot be made")
+
+    monkeypatch.setitem(OTHERS, "swimmer", lambda: replace(ENVS["hopper"], name="swimmer"))
+    monkeypatch.setitem(OTHERS, "broken", broken)
+    app = form()
+    app.selectbox(key="start env").select("swimmer").run()
+    assert any("tom train --env swimmer " in code.value for code in app.code)
+    app.selectbox(key="start env").select("broken").run()
+    assert not app.exception
+    assert "task broken cannot be made" in [error.value for error in app.error]
+
+
+def test_trainings_that_have_ended_are_forgotten_and_those_that_run_are_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def ended(words: Sequence[str]) -> Started:
+        begun = stand_in(words, "")
+        begun.process.wait(TIMEOUT_S)
+        return begun
+
+    monkeypatch.setattr(trainings, "start", lambda words: stand_in(words, WAITING))
+    app = form()
+    app.button(key="start").click().run()
+    (first,) = start._started()
+    try:
+        monkeypatch.setattr(trainings, "start", ended)
+        app.text_input(key="start seeds").input(f"1-{start.FORGET + 2}").run()
+        app.button(key="start").click().run()
+        assert len(start._started()) == 1 + start.FORGET
+        assert not app.error
+    finally:
+        first.process.kill()
+        first.process.wait(TIMEOUT_S)
+    assert app.run().error
+
+
+@pytest.mark.parametrize(("host", "key"), [("0.0.0.0", "key"), ("::1", ""), ("::1", "another")])
+def test_nothing_is_started_for_others_or_without_the_key(
+    host: str, key: str, store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    set_links(Links(store=str(store), host=host, key=key), monkeypatch)
+    app = draw("answer")
+    app.session_state[start.FOLD] = True
+    app.run()
+    assert not [one for one in app.button if (one.key or "").startswith(("start", "stop"))]
