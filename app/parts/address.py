@@ -22,7 +22,7 @@ T = TypeVar("T")
 SHARED = ("task", "find", "state", "learner", "preset", "tag", "group", "hide", "show",
           "run", "step")  # fmt: skip
 _PAGE, _ARRIVED = "address: page", "address: arrived"
-_KEPT, _KEEPING = "address: kept", "address: keeping"
+_KEPT, _KEEPING, _LEFT = "address: kept", "address: keeping", "address: left"
 
 
 def visit(page: str) -> None:
@@ -36,7 +36,8 @@ def requested(key: str) -> list[str] | None:
     """The words of the address for a choice; None if the user's own choice counts instead.
 
     The address counts when the user arrives at a page by a link, or by Back or Forward. A shared
-    choice lasts on arrival at another page by an address without any shared choice.
+    choice lasts on arrival at another page by an address without any shared choice. A choice that
+    this page drew before, and then did not draw for a while, is what it was.
     """
     words = st.query_params.get_all(key)
     if _went_back():
@@ -44,7 +45,8 @@ def requested(key: str) -> list[str] | None:
     if st.session_state.get(_ARRIVED):
         shared = key in SHARED and key in st.session_state
         return None if shared and not any(map(st.query_params.get_all, SHARED)) else words
-    return None if key in st.session_state else words
+    left = st.session_state.get(_LEFT, {}).get(key, words)
+    return None if key in st.session_state else left
 
 
 def keep(key: str, words: Sequence[str]) -> None:
@@ -58,9 +60,13 @@ def write() -> None:
     """Put the choices of this drawing into the address, and remove those that it no longer has."""
     keeping: dict[str, list[str]] = dict(st.session_state.get(_KEEPING, {}))
     kept: dict[str, list[str]] = st.session_state.get(_KEPT, {})
-    for key in kept.keys() - keeping.keys():
-        if key not in SHARED:
-            st.session_state.pop(key, None)
+    arrived = st.session_state.get(_ARRIVED, False)
+    left: dict[str, list[str]] = {} if arrived else dict(st.session_state.get(_LEFT, {}))
+    for key in kept.keys() - keeping.keys() - set(SHARED):
+        st.session_state.pop(key, None)
+        if not arrived:  # else it is of the page's last visit
+            left[key] = kept[key]
+    st.session_state[_LEFT] = {key: left[key] for key in left.keys() - keeping.keys()}
     st.session_state[_KEPT] = keeping
     st.session_state[_ARRIVED] = False  # a fragment may be drawn next
     words_of: dict[str, list[str]] = {key: [] for key in kept} | keeping

@@ -71,21 +71,18 @@ def test_a_choice_that_is_no_longer_there_leaves_the_address() -> None:
 def test_an_address_chooses_no_more_than_the_page_takes() -> None:
     script = """
 import streamlit as st
-from app.parts import address, pick
+from app.parts import address
 
 address.visit("page")
-options = {name: name for name in "abcde"}
-address.choose_many("Some", list(options), "some", max_selections=2)
-pick.many("Others", options, "others", max_selections=3)
+address.choose_many("Some", list("abcde"), "some", max_selections=2)
 address.write()
 """
     app = AppTest.from_string(script)
     app.query_params["some"] = ["e", "gone", "d", "c"]
-    app.query_params["others"] = list("abcde")
     app.run()
     assert not app.exception
-    assert [choice.value for choice in app.multiselect] == [["e", "d"], ["a", "b", "c"]]
-    assert address(app) == {"some": ["e", "d"], "others": ["a", "b", "c"]}
+    assert app.multiselect[0].value == ["e", "d"]
+    assert address(app) == {"some": ["e", "d"]}
 
 
 NUMBER = """
@@ -128,115 +125,43 @@ def test_the_usual_number_follows_the_data_and_stands_for_what_is_none(word: str
     assert level(app.run()) == (2.5, {})
 
 
-STEP = """
+SHARED = """
 import streamlit as st
 from app.parts import address
 
-address.visit(st.session_state.get("page", "page"))
-steps = st.session_state.get("steps", [100, 200, 300])
-usual = "the end" if st.session_state.get("ends") else steps[-1]
-task = st.session_state.get("task", "hopper")
-st.session_state["shown"] = address.choose_step("At", steps, usual, of=task)
+address.visit(st.session_state.get("page", "one"))
+address.choose_one(st.selectbox, "Task", ["ant", "hopper"], "task", "ant")
+address.choose_one(st.selectbox, "Own", ["a", "b"], "own", "a")
 address.write()
 """
 
 
-def at_step(step: str | None = None, **state: object) -> AppTest:
-    """The page of a choice of a step, opened by a link with `step`."""
-    app = AppTest.from_string(STEP)
-    for name, value in state.items():
-        app.session_state[name] = value
-    if step is not None:
-        app.query_params["step"] = step
-    return app.run()
-
-
-def shown(app: AppTest) -> tuple[object, dict[str, list[str]], list[str]]:
-    """The step, the address, and what is said."""
+def goes(app: AppTest, page: str, **query: str) -> tuple[str, str, dict[str, list[str]]]:
+    """The shared choice, the page's own and the address after a visit to a page's link."""
+    app.session_state["page"] = page
+    app.query_params.clear()
+    for name, value in query.items():
+        app.query_params[name] = value
+    app.run()
     assert not app.exception
-    return app.session_state["shown"], address(app), [words.value for words in app.caption]
+    return app.selectbox[0].value, app.selectbox[1].value, address(app)
 
 
-@pytest.mark.parametrize(("asked", "nearest"), [("12", 100), ("245", 200), ("12345", 300)])
-def test_in_place_of_a_step_that_was_not_kept_the_nearest_is_shown_said_and_in_the_address(
-    asked: str, nearest: int
-) -> None:
-    app = at_step(asked)
-    said = f"Step {int(asked):,} was not kept; this is the nearest, {nearest}."
-    for _ in range(2):
-        assert shown(app) == (nearest, {"step": [str(nearest)]}, [said])
-        app.run()
-    kept = at_step(str(nearest))
-    assert kept.select_slider[0].value == nearest
-    assert shown(kept) == (nearest, {"step": [str(nearest)]}, [])
+def test_shared_choices_go_along_to_another_page_and_its_own_do_not() -> None:
+    app = AppTest.from_string(SHARED)
+    assert goes(app, "one", task="hopper", own="b")[:2] == ("hopper", "b")
+    assert goes(app, "two") == ("hopper", "a", {"task": ["hopper"]})
+    app.selectbox[0].select("ant").run()
+    assert goes(app, "one") == ("ant", "a", {})
 
 
-@pytest.mark.parametrize("word", ["", "much", "-100", "1e2", "nan", "²", "9" * 30])
-def test_what_is_no_step_opens_the_usual_one(word: str) -> None:
-    step, _, said = shown(at_step(word))
-    assert (step, said) == (300, [])
-
-
-@pytest.mark.parametrize("elsewhere", [False, True])
-def test_a_step_of_one_task_is_not_carried_into_another(elsewhere: bool) -> None:
-    app = at_step()
-    app.select_slider[0].set_value(200).run()
-    other = {"task": "ant", "steps": [10, 150, 900], **({"page": "other"} if elsewhere else {})}
-    for name, value in other.items():
-        app.session_state[name] = value
-    if elsewhere:
-        del app.query_params["step"]
-    step, _, said = shown(app.run())
-    assert (step, said) == (900, [])
-    app.select_slider[0].set_value(150).run()
-    for name, value in {"task": "hopper", "steps": [100, 200, 300]}.items():
-        app.session_state[name] = value
-    assert shown(app.run()) == (200, {"step": ["200"]}, [])
-
-
-def test_an_untouched_choice_of_a_step_follows_the_newest() -> None:
-    app = at_step()
-    app.session_state["steps"] = [100, 200, 300, 400]
-    assert shown(app.run()) == (400, {}, [])
-    app.select_slider[0].set_value(300).run()
-    app.session_state["steps"] = [100, 200, 300, 400, 500]
-    assert shown(app.run()) == (300, {"step": ["300"]}, [])
-    app.select_slider[0].set_value(500).run()
-    app.session_state["steps"] = [100, 200, 300, 400, 500, 600]
-    assert shown(app.run()) == (600, {"step": ["600"]}, [])
-
-
-def test_of_another_run_with_one_step_that_step_is_shown() -> None:
-    app = at_step("200")
-    app.session_state["steps"] = [70]
-    assert shown(app.run())[:2] == (70, {"step": ["70"]})
-    assert app.selectbox[0].disabled
-
-
-def test_the_chosen_step_goes_along_to_another_page() -> None:
-    app = at_step("100")
-    app.session_state["page"], app.session_state["steps"] = "another", [120, 240]
-    app.query_params.clear()
-    said = "Step 100 was not kept; this is the nearest, 120."
-    assert shown(app.run()) == (120, {"step": ["120"]}, [said])
-    app.session_state["page"], app.session_state["steps"] = "page", [100, 200]
-    app.query_params.clear()
-    assert shown(app.run()) == (100, {"step": ["100"]}, [])
-    app.select_slider[0].set_value(200).run()
-    app.session_state["page"], app.session_state["steps"] = "another", [120, 240]
-    app.query_params.clear()
-    assert shown(app.run()) == (240, {}, [])
-
-
-def test_the_usual_may_be_no_step() -> None:
-    assert shown(at_step(ends=True)) == ("the end", {}, [])
-    said = "Step 130 was not kept; this is the nearest, 100."
-    app = at_step("130", ends=True)
-    assert shown(app) == (100, {"step": ["100"]}, [said])
-    app.select_slider[0].set_value("the end").run()
-    assert shown(app) == ("the end", {}, [])
-    none = at_step("130", ends=True, steps=[])
-    assert shown(none) == ("the end", {}, ["Step 130 was not kept; this is the end."])
+def test_a_link_with_a_shared_choice_counts_on_arrival() -> None:
+    app = AppTest.from_string(SHARED)
+    goes(app, "one", task="hopper")
+    assert goes(app, "two", task="ant")[0] == "ant"
+    app.selectbox[0].select("hopper").run()
+    # Another shared choice is in the link: it is a whole view, which has the usual task.
+    assert goes(app, "one", find="mine")[0] == "ant"
 
 
 def test_a_part_of_the_page_that_is_drawn_alone_writes_its_choice() -> None:
