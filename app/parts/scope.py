@@ -154,6 +154,8 @@ def _store_state(store: str, *, alive: bool) -> object:
 
 
 def _of_task(everything: Sequence[RunReader]) -> list[RunReader]:
+    if not everything:  # there may be weighed data
+        return []
     counts = {run.env: run for run in reversed(everything)}  # the newest of each
     own = [run for run in everything if not run.small_copy] or list(everything)
     first = next((run.env for run in own if run.learner != SAC_ALONE), own[0].env)
@@ -207,7 +209,8 @@ def matching(runs: Sequence[RunReader], words: str) -> list[RunReader]:
     If it is malformed, all runs are returned and the page says why. The expression may come from a
     link, so it is matched in time linear in the names, unlike by Python's `re`.
     """
-    options = compute.MatchSubstringOptions(words, ignore_case=True)
+    # (?m): the beginning and the end of the id are those of a line, and so are those of the name.
+    options = compute.MatchSubstringOptions(f"(?m){words}", ignore_case=True)
     names = pa.array([f"{run.run_id}\n{run.name}" for run in runs], pa.string())
     try:
         found = compute.call_function("match_substring_regex", [names], options).to_pylist()
@@ -307,8 +310,7 @@ def toggle(scope: Scope, word: str) -> None:
     if word not in scope.hidden:
         _set(hide=[*hide, word], show=[other for other in show if other != word])
         return
-    kind = next((k for k, look in scope.looks.items() if look.title == word), None)
-    opened = [word] if word in scope.folded or kind is None else []
+    opened = [word] if word in scope.folded else []
     _set(hide=[other for other in hide if other != word], show=[*show, *opened])
 
 

@@ -36,6 +36,8 @@ from tom.record.store import Store
 
 LARGEST_FIGURE = 20_000_000
 """bytes of a figure that a page sends to have it drawn for a paper"""
+NO_FIGURE = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, RecursionError)
+"""what the drawing of something raises that is no figure"""
 RECORDING = "application/octet-stream"
 EPISODE = re.compile(r"episode-(\d{1,12})-(\d{1,4})-([1-9]\d{0,3})\.rrd")
 """a single evaluation episode: step, number from 0, steps after which the ghost restarts"""
@@ -57,6 +59,7 @@ RENAMED = {
     ("/compare", "text"): "find",
     ("/compare", "show"): "part",
     ("/compare", "metric"): "panel",
+    ("/probe", "at"): "step",
 }
 """choices of older pages that have another name today"""
 
@@ -143,7 +146,7 @@ def routes(links: Links) -> list[Route]:
                 raise ValueError("the figure is too large")
             content = await request.json()
             file = await run_in_threadpool(paper.paper_figure, content, width, kind)
-        except (ValueError, TypeError, KeyError, IndexError) as error:
+        except NO_FIGURE as error:
             return PlainTextResponse(f"this figure cannot be drawn: {error!r}", status_code=400)
         return Response(file, media_type=paper.KINDS[kind])
 
@@ -188,6 +191,8 @@ def forwarded(path: str, query: str) -> str:
     """The address of today's page for one of an older studio."""
     page, more = FORWARDED[path]
     given = parse_qsl(query)
+    if path == "/compare" and ("show", "Side by side") in given:
+        page = "/replays"
     given = [(RENAMED.get((path, name), name), value) for name, value in given]
     words = urlencode([*more.items(), *given])
     return f"{page}?{words}".removesuffix("?")

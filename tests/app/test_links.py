@@ -1,18 +1,29 @@
-"""Addresses of the studio's servers, and which of a store's files they give out."""
+"""Addresses of the studio's servers, and what they give out: a store's files, drawn figures."""
 
 import asyncio
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
 from starlette.applications import Starlette
+from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message
 from studio_runs import ROAD_TOM
 
+from app.figures import paper
 from app.guard import Guard
 from app.links import Links
-from app.servers.pages import EPISODE, options, recording_path, routes, viewer_origin
+from app.servers.pages import (
+    EPISODE,
+    LARGEST_FIGURE,
+    options,
+    recording_path,
+    routes,
+    viewer_origin,
+)
 from app.theme import Mode
 
 MODES: tuple[Mode, ...] = ("dark", "light")
@@ -107,41 +118,132 @@ def test_only_under_its_own_names_it_gives_out_what_it_holds(
 ) -> None:
     links = Links(store=str(store), host=bound, port=8600)
     guarded = Guard(Starlette(routes=routes(links)), links)
-    for path in (f"/rrd/{ROAD_TOM}/run.rrd", "/api/health", "/", "/compare"):
+    for path in (f"/rrd/{ROAD_TOM}/run.rrd", "/api/health", "/", "/curves"):
         assert answered(guarded, path, host) == code, path
     for path in ("/v/none", "/reports/none", "/_stcore/metrics"):
         assert answered(guarded, path, host) == (404 if code == 200 else code), path
 
 
-def answered(served: ASGIApp, path: str, host: str) -> int:
+def answered(served: ASGIApp, path: str, host: str = "localhost:8600") -> int:
     """The code with which a server answers a request."""
+    return reply(served, "GET", path, host)[0]
+
+
+def reply(
+    served: ASGIApp,
+    method: str,
+    path: str,
+    host: str = "localhost:8600",
+    body: bytes = b"",
+    **more: str,
+) -> tuple[int, Mapping[str, str], bytes]:
+    """Code, headers and body of an answer."""
     said: list[Message] = []
+    got = [{"type": "http.request", "body": body}, {"type": "http.disconnect"}]
 
     async def send(message: Message) -> None:
         said.append(message)
 
     async def receive() -> Message:
-        return {"type": "http.disconnect"}
+        return got.pop(0)
 
     async def ask() -> None:
-        asked = {"type": "http", "method": "GET", "path": path, "query_string": b""}
-        await served({**asked, "headers": [(b"host", host.encode())]}, receive, send)
+        at, _, query = path.partition("?")
+        headers = {"host": host, "content-length": str(len(body)), **more}
+        asked = {"type": "http", "method": method, "path": at, "query_string": query.encode()}
+        given = [(name.encode(), value.encode()) for name, value in headers.items()]
+        await served({**asked, "headers": given}, receive, send)
 
     asyncio.run(ask())
-    return said[0]["status"]
+    content = b"".join(message.get("body", b"") for message in said)
+    return said[0]["status"], Headers(raw=said[0]["headers"]), content
 
 
 @pytest.mark.parametrize(
-    ("asked", "target"), [(b"", "/"), (b"runs=a&runs=b%2F1&x=%26", "/?runs=a&runs=b%2F1&x=%26")]
+    ("old", "new"),
+    [
+        ("/live", "/"),
+        ("/live?run=a&x=%26", "/?run=a&x=%26"),
+        ("/compare?env=a&text=b&show=Statistics", "/curves?task=a&find=b&part=Statistics"),
+        ("/compare?show=Side+by+side&side=a", "/replays?part=Side+by+side&side=a"),
+        ("/compare?metric=eval%2Freturn&hide=TOM", "/curves?panel=eval%2Freturn&hide=TOM"),
+        ("/weights?run=a&step=30&scale=as+they+are", "/attention?run=a&step=30&scale=as+they+are"),
+        ("/regions?run=a", "/attention?part=In+the+buffer&run=a"),
+        ("/probe?at=3", "/attention?part=Every+learner+on+one+buffer&step=3"),
+        ("/road?run=a", "/attention?task=road-and-rocks&run=a"),
+        ("/cinema?run=a", "/replays?part=Film&run=a"),
+        ("/studies?study=road", "/findings?study=road"),
+    ],
+)  # fmt: skip
+def test_an_address_of_an_older_studio_leads_to_todays_page(old: str, new: str) -> None:
+    code, headers, _ = reply(Starlette(routes=routes(LINKS)), "GET", old)
+    assert (code, headers["location"]) == (307, new)
+    assert answered(Starlette(routes=routes(LINKS)), urlsplit(new).path) == 200
+
+
+HUGE = {"range": [0, 1e6], "type": "log", "domain": [0, 1], "title": "", "tickvals": None}
+
+
+def a_figure(**more: object) -> bytes:
+    """What the browser sends of a line through two points."""
+    axis = {"range": [0, 2], "type": "linear", "domain": [0, 1], "title": "", "tickvals": None,
+            "ticktext": None}  # fmt: skip
+    line = {
+        "axes": "xy", "type": "scatter", "name": "TOM", "x": [0, 2], "y": [0, 1], "z": None,
+        "mode": "lines", "opacity": 1, "colour": "#c3521f", "width": 2, "dash": "solid",
+        "shape": "linear", "symbol": "circle", "size": 4, "fill": None, "showlegend": True,
+        "colorscale": None, "zmin": None, "zmax": None, "ticks": None,
+    }  # fmt: skip
+    shown = {"traces": [line], "axes": {"xy": {"x": axis, "y": axis}}, "annotations": [],
+             "shapes": [], "legend": True, "ratio": 0.6}  # fmt: skip
+    return json.dumps({**shown, **more}).encode()
+
+
+@pytest.mark.parametrize(
+    ("kind", "begins"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")]
 )
-def test_the_first_page_has_the_address_that_its_name_suggests_too(
-    asked: bytes, target: str
-) -> None:
-    [route] = [route for route in routes(LINKS) if route.path == "/live"]
-    scope = {"type": "http", "headers": [], "path": "/live", "query_string": asked}
-    answer = route.endpoint(Request({**scope, "scheme": "http", "server": ("127.0.0.1", 8600)}))
-    assert answer.status_code == 307
-    assert answer.headers["location"] == target
+def test_a_figure_for_a_paper_is_a_file(kind: str, begins: bytes) -> None:
+    served = Starlette(routes=routes(LINKS))
+    code, headers, content = reply(
+        served, "POST", f"/api/figure?kind={kind}&width=one", body=a_figure()
+    )
+    assert (code, headers["content-type"].partition(";")[0]) == (200, paper.KINDS[kind])
+    assert content.startswith(begins)
+
+
+@pytest.mark.parametrize(
+    ("query", "body"),
+    [
+        ("kind=pdf&width=one", b"nonsense"),
+        ("kind=pdf&width=one", b"[" * 100_000),
+        ("kind=pdf&width=one", b"[1]"),
+        ("kind=pdf&width=one", b"{}"),
+        ("kind=pdf&width=one", a_figure(axes={})),
+        ("kind=pdf&width=one", a_figure(axes={"xy": {"x": {}, "y": {}}})),
+        ("kind=pdf&width=one", a_figure(traces=[{"axes": "none"}])),
+        ("kind=pdf&width=one", a_figure(annotations=[3])),
+        ("kind=pdf&width=one", a_figure(axes={"xy": {"x": HUGE, "y": HUGE}})),
+        ("kind=pdf&width=one", a_figure(ratio="wide")),
+        ("kind=pdf&width=1000", a_figure()),
+        ("kind=exe&width=one", a_figure()),
+        ("", a_figure()),
+    ],
+)
+def test_what_is_no_figure_is_refused(query: str, body: bytes) -> None:
+    assert (
+        reply(Starlette(routes=routes(LINKS)), "POST", f"/api/figure?{query}", body=body)[0] == 400
+    )
+
+
+@pytest.mark.parametrize("length", [str(LARGEST_FIGURE + 1), "many", ""])
+def test_a_figure_that_is_too_large_or_of_no_length_is_not_read(length: str) -> None:
+    asked = {"content-length": length}
+    served = Starlette(routes=routes(LINKS))
+    code, _, content = reply(
+        served, "POST", "/api/figure?kind=pdf&width=one", body=a_figure(), **asked
+    )
+    assert code == 400
+    assert not content.startswith(b"%PDF")
 
 
 def test_only_the_viewers_page_may_read_recordings() -> None:

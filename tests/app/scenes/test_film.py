@@ -99,7 +99,7 @@ def test_an_mp4_says_where_its_pictures_lie() -> None:
 
 @pytest.mark.usefixtures("studio")
 def test_the_page_offers_the_film() -> None:
-    app = draw("cinema", run=PENDULUM_TOM, length="30 s")
+    app = draw("replays", run=PENDULUM_TOM, part="Film", length="30 s")
     assert any("at half speed" in caption.value for caption in app.caption)
     assert "--cinema" in app.code[0].value
 
@@ -110,7 +110,7 @@ def test_the_film_has_the_name_that_the_run_has_now(
 ) -> None:
     shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
     set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    app = draw("cinema")
+    app = draw("replays", part="Film")
     rename(Store(tmp_path), PENDULUM_TOM, "the long one")
     [film] = app.run().get("iframe")
     assert '"title":"the long one"' in film.proto.srcdoc

@@ -56,7 +56,7 @@ def test_opening_is_the_reading_of_the_store_and_the_first_page(
     monkeypatch.setattr(os, "environ", os.environ.copy())
     rows = list(measure(store))
     read, first, opened = rows[:3]
-    assert [read.what, first.what] == ["store read", "live, first"]
+    assert [read.what, first.what] == ["store read", "answer, first"]
     assert opened.cpu_s == read.cpu_s + first.cpu_s
     assert (read.target_s, opened.target_s) == (None, OPEN_S)
     pages = [row.what for row in rows if row is not opened][1:]
