@@ -177,7 +177,12 @@ def _absent(everything: Sequence[RunReader]) -> None:
     asked = "".join(address.value_of("run", list)[-1:])
     if not asked or any(run.run_id == asked for run in everything):
         return
-    if asked in readers.trashed(session.links().store):
+    from app.data import weighings  # here: few addresses need it
+
+    store = session.links().store
+    if any(one.run_id == asked for one in weighings.datasets(store)):
+        return
+    if asked in readers.trashed(store):
         st.warning(f"Run {text.markdown(asked)} is in the trash: Curves, Runs brings it back.")
     else:
         st.warning(f"There is no run {text.markdown(asked)} in this store.")

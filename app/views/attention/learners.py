@@ -18,6 +18,7 @@ from app.parts.scope import Scope
 from app.theme import learner_label
 from app.views.attention import weigh
 from app.views.attention.progress import show_notices
+from app.views.attention.regions import pick_data
 from tom import readable
 from tom.envs import ROAD
 
@@ -43,10 +44,7 @@ def draw(scope: Scope) -> None:
     )
     top = st.columns([1, 1], vertical_alignment="bottom")
     if data:
-        own = "the chosen run"
-        run = data.get(
-            address.choose_one(top[1].selectbox, "Buffer of", [own, *data], "data", own), run
-        )
+        run = pick_data(top[1], data, run)
     if run is None:
         if not empty.left_out_of_all(online, "buffer"):
             st.info("No run of a MuJoCo task has collected transitions here yet.")

@@ -53,7 +53,7 @@ def draw(scope: Scope) -> None:
     )
     top = st.columns([4, 4, 3, 3], vertical_alignment="bottom")
     if data:
-        run = _pick_data(top[3], data, run)
+        run = pick_data(top[3], data, run)
     if run is None:
         st.info("No run here has kept its weights yet: they are recorded with the model fits.")
         return
@@ -81,12 +81,12 @@ def draw(scope: Scope) -> None:
     widgets.show_problems(run)
 
 
-def _pick_data(
+def pick_data(
     place: DeltaGenerator, data: Mapping[str, RunReader], run: RunReader | None
 ) -> RunReader | None:
     """The run of the list, or a data set that `tom weigh` was given."""
-    own = "the chosen run"
-    chosen = address.choose_one(place.selectbox, "Buffer of", [own, *data], "data", own)
+    options = [*([] if run is None else ["the chosen run"]), *data]
+    chosen = address.choose_one(place.selectbox, "Buffer of", options, "data", options[0])
     return data.get(chosen, run)
 
 
