@@ -4,6 +4,7 @@ import json
 import tempfile
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from app.data.weighings import Brushed, Weighing
 from app.figures.regions import error_bars
 from app.links import Links
 from app.theme import Mode
-from app.views.regions.brush import BEGUN, command
+from app.views.attention.brush import BEGUN, command
 from tom.analysis.brush import REGION, REST
 from tom.cli import main
 from tom.record.decode import read_table
@@ -25,6 +26,7 @@ from tom.record.reader import RunReader
 from tom.reports.weighing_files import REPORT, WEIGHTS, copy_small
 
 FIT = 300
+in_buffer = partial(draw, "attention", part="In the buffer")
 WAIT_S = 60
 
 
@@ -67,7 +69,7 @@ def test_the_page_shows_what_was_measured(brushed: Path) -> None:
     report = json.loads((brushed / "weighings/made/report.json").read_text())
     of = {(r["factor"], r["seed"]): r["errors"] for r in report["results"]}
     ratio = np.mean([of[4, s]["rest"] / of[1, s]["rest"] for s in (0, 1)])
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT))
+    app = in_buffer(run=PENDULUM_TOM, step=str(FIT))
     bars = [f for f in figures(app) if len(f["data"]) == 2 and f["data"][0]["type"] == "bar"]
     assert array(bars[0]["data"][1]["y"])[1] + 1 == pytest.approx(ratio)
     assert found.factors == [0, 4]
@@ -80,10 +82,8 @@ def test_a_brush_is_not_shown_as_several_learners_on_the_buffer(brushed: Path) -
     assert weighings.of_run(run, 400) == []
     assert [one.name for one in weighings.brushes(run, 400)] == ["made"]
     assert weighings.weighed(str(brushed)) == set()
-    for view in ("weights", "probe"):
-        app = draw(view, run=PENDULUM_TOM, step=str(FIT), weighed="made")
-        assert not any("region x" in str(f["data"]) for f in figures(app))
-    assert any("Nobody has weighed" in note.value for note in app.info)
+    app = draw("attention", part="Every learner on one buffer", run=PENDULUM_TOM, weighed="made")
+    assert not figures(app)
 
 
 def test_a_weighing_is_not_taken_for_a_brush_of_it(brushed: Path) -> None:
@@ -98,7 +98,7 @@ def test_a_weighing_is_not_taken_for_a_brush_of_it(brushed: Path) -> None:
     brush_file.unlink()  # which is a link
     table.assign(**{"as it is-s0": weight}).to_parquet(brush_file)
     brush_report.touch()
-    app = draw("regions", run=PENDULUM_TOM, weights="TOM s0, tom", row="5")
+    app = in_buffer(run=PENDULUM_TOM, weights="TOM s0, tom", row="5")
     assert any(figure["data"][0]["type"] == "waterfall" for figure in figures(app))
     run = info(brushed, PENDULUM_TOM)
     made = [*weighings.of_run(run, 400), *weighings.brushes(run, 400)]
@@ -108,7 +108,7 @@ def test_a_weighing_is_not_taken_for_a_brush_of_it(brushed: Path) -> None:
 
 
 def test_brushed_weights_have_no_sum(brushed: Path) -> None:
-    app = draw("regions", run=PENDULUM_TOM, weights="region x 4 s0, made", row="5")
+    app = in_buffer(run=PENDULUM_TOM, weights="region x 4 s0, made", row="5")
     assert any("brush" in note.value for note in app.info)
     assert not any(figure["data"][0]["type"] == "waterfall" for figure in figures(app))
 
@@ -125,7 +125,7 @@ def test_a_small_copy_keeps_the_brush(made: Path, store: Path, tmp_path: Path) -
 
 def test_a_brush_of_a_task_that_is_not_described_has_no_ghosts(brushed: Path) -> None:
     undescribed(brushed / PENDULUM_TOM)
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT))
+    app = in_buffer(run=PENDULUM_TOM, step=str(FIT))
     assert "No ghosts" in captions(app)
 
 
@@ -148,7 +148,7 @@ def test_the_rows_of_a_brush_are_kept_until_it_ends(
 ) -> None:
     monkeypatch.setattr(trainings, "start", lambda words: stand_in(words, WAITING))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT))
+    app = in_buffer(run=PENDULUM_TOM, step=str(FIT))
     app.button(key="brush it").click().run()
     begun = app.session_state[BEGUN]
     try:
@@ -163,7 +163,7 @@ def test_the_rows_of_a_brush_are_kept_until_it_ends(
 
 
 def test_a_brush_that_failed_says_so_until_the_next(brushed: Path) -> None:
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT))
+    app = in_buffer(run=PENDULUM_TOM, step=str(FIT))
     words = command(PENDULUM_TOM, "no-such-file", FIT, "", (0, 4), str(brushed))
     failed = trainings.start(words)
     assert failed.process.wait(60) == 2

@@ -1,20 +1,21 @@
-"""Data that no run collected, in a store that holds nothing else: Probe and Regions show it."""
+"""Data that no run collected, in a store that holds nothing else: Attention shows it."""
 
 import shlex
 import shutil
 from collections.abc import Iterator
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import streamlit as st
 import torch
-from streamlit.testing.v1 import AppTest
-from studio_pages import TIMEOUT_S, array, draw, figures, set_links
+from studio_pages import array, draw, figures, set_links
 
 from app.data import weighings
 from app.links import Links
+from app.router import VIEWS, View
 from app.scenes.states import reader_of
 from tom.cli import main
 from tom.envs import task
@@ -25,6 +26,8 @@ from tom.record.files import read_json
 
 ENV = "inverted-pendulum"
 N = 300
+in_buffer = partial(draw, "attention", part="In the buffer")
+on_one_buffer = partial(draw, "attention", part="Every learner on one buffer")
 GALLERY_RUN = str(Path(__file__).parents[3] / "runs" / "inverted-pendulum-tom-s0-162b7ad0")
 
 
@@ -62,9 +65,12 @@ def test_rows_that_were_weighed_twice_are_one_data_set(weighed: Path):
     assert {one.name for one in weighings.of_run(found[0], N)} == {"first", "second"}
 
 
-def test_probe_shows_each_learners_weights(weighed: Path):
-    app = draw("probe", run=named(weighed, "my buffer"), weighed="first")
-    assert app.selectbox[0].options == [named(weighed, name) for name in ("my buffer", "other")]
+def test_each_learners_weights_of_the_data_are_shown(weighed: Path):
+    app = on_one_buffer(run=named(weighed, "my buffer"), weighed="first")
+    assert app.selectbox(key="data").options[1:] == [
+        named(weighed, name) for name in ("my buffer", "other")
+    ]
+    assert not app.warning
     names = [line.get("name") for line in figures(app)[0]["data"]]
     assert "PMAC (3 seeds)" in names
     assert any(code.value.split()[0] == "tom" for code in app.code)
@@ -74,7 +80,7 @@ def test_probe_shows_each_learners_weights(weighed: Path):
 def test_the_command_on_the_page_weighs_the_same_rows_again(
     weighed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    app = draw("probe", run=named(weighed, "my buffer"))
+    app = on_one_buffer(run=named(weighed, "my buffer"))
     words = shlex.split(next(code.value for code in app.code if "/weighings/" in code.value))
     monkeypatch.chdir(tmp_path)  # where no file of the user's lies
     assert main([*words[1:], "--footprint", "50", "--out", "again"]) == 0
@@ -97,13 +103,13 @@ def test_a_weighing_of_random_rows_and_those_of_a_step_shows_all_its_rows(
     (made,) = weighings.of_run(found, 2 * N)
     assert (made.step, made.end, made.missing(2 * N)) == (N, 2 * N, "")
     set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    app = draw("regions", run=found.run_id, weights="PMAC s0, both", region="everything")
+    app = in_buffer(run=found.run_id, weights="PMAC s0, both", region="everything")
     assert figures(app)
 
 
-def test_regions_counts_the_rows_of_the_file(weighed: Path):
+def test_the_map_counts_the_rows_of_the_file(weighed: Path):
     learner = "PMAC s0, first"
-    app = draw("regions", run=named(weighed, "my buffer"), weights=learner, region="everything")
+    app = in_buffer(run=named(weighed, "my buffer"), weights=learner, region="everything")
     assert learner in app.selectbox(key="weights").options
     table = app.dataframe[0].value.set_index("")
     assert table.loc["transitions", "buffer"] == str(N)
@@ -116,15 +122,13 @@ def test_weights_that_cannot_be_read_are_said(weighed: Path, tmp_path: Path, mon
     for path in (tmp_path / "store").rglob("weights.parquet"):
         path.write_bytes(b"no parquet")
     set_links(Links(store=str(tmp_path / "store"), key="key"), monkeypatch)
-    assert "cannot be read" in draw("regions").warning[0].value
-    assert "cannot be read" in draw("probe").warning[0].value
+    assert "cannot be read" in in_buffer().warning[0].value
+    assert "cannot be read" in on_one_buffer().warning[0].value
 
 
-@pytest.mark.parametrize("view", ["live", "compare", "weights", "replays", "road", "studies"])
-def test_pages_of_runs_do_without_any(view: str):
-    script = f"from app.router import draw\nfrom app.views import {view}\ndraw({view}.page)"
-    app = AppTest.from_string(script, default_timeout=TIMEOUT_S).run()
-    assert not app.exception, app.exception[0].message
+@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+def test_pages_do_without_any_run(view: View):
+    draw(view.name)
 
 
 def test_the_3d_scene_finds_the_rows(weighed: Path):

@@ -1,5 +1,6 @@
-"""Regions of the buffer: the map, the selection and what is in it are the recorded rows."""
+"""Attention in the buffer: the map, the selection and what is in it are the recorded rows."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +13,14 @@ from app.data import buffer, regions
 from app.data.buffer import WINDOW, Rows, against, dimension_names, episodes, rows_at, windows
 from app.figures.regions import POINTS, hover_data, region_map, weights_against
 from app.scenes import solids, states
-from app.views.regions.region_tables import listed
+from app.views.attention.region_tables import listed
 from tom.data.transitions import Transitions
 from tom.envs import scene, task
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
 FIT = 300
+in_buffer = partial(draw, "attention", part="In the buffer")
 
 
 @pytest.fixture
@@ -160,7 +162,7 @@ def test_a_large_map_is_thinned_and_says_so() -> None:
 
 
 def test_a_map_marks_the_region_and_tells_of_each_point(rows: Rows) -> None:
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT))
+    app = in_buffer(run=PENDULUM_TOM, step=str(FIT))
     cloud, ringed = figures(app)[0]["data"]
     heaviest = np.flatnonzero(regions.heaviest(rows.weight, 0.01))
     plane = regions.principal_plane(rows.rows)
@@ -178,7 +180,7 @@ def test_a_map_marks_the_region_and_tells_of_each_point(rows: Rows) -> None:
     assert table.loc["transitions", "region"] == "3"
     assert table.loc["mean weight", "region"] == f"{three.mean():,.2f}"
     assert app.dataframe[1].value["weight"].tolist() == pytest.approx(three[::-1])
-    whole = figures(draw("regions", run=PENDULUM_TOM, step=str(FIT), region="everything"))[0]
+    whole = figures(in_buffer(run=PENDULUM_TOM, step=str(FIT), region="everything"))[0]
     assert not len(array(whole["data"][1]["x"]))  # to mark all is to mark nothing
 
 
@@ -187,7 +189,7 @@ def test_the_page_shows_a_drawn_region(rows: Rows) -> None:
     x, y = np.median(obs[:, 0]), 9.0
     box = f"{x},-9;9,-9;9,{y};{x},{y}"
     query = {"across": "cart x", "up": "pole angle", "region": "what I draw", "outline": box}
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), **query)
+    app = in_buffer(run=PENDULUM_TOM, step=str(FIT), **query)
     table = app.dataframe[0].value.set_index("")
     assert table.loc["transitions", "region"] == str((obs[:, 0] > x).sum())
     assert figures(app)[0]["layout"]["shapes"][0]["type"] == "path"
@@ -195,7 +197,7 @@ def test_the_page_shows_a_drawn_region(rows: Rows) -> None:
 
 def test_an_outline_is_dropped_where_its_axes_change(rows: Rows) -> None:
     query = {"region": "what I draw", "outline": "-9,-9;9,-9;9,9;-9,9", "across": "cart x"}
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), up="pole angle", **query)
+    app = in_buffer(run=PENDULUM_TOM, step=str(FIT), up="pole angle", **query)
     assert chosen(app) == len(rows)
     app.selectbox(key="up").select("cart velocity").run()
     assert chosen(app) == 0
@@ -205,14 +207,14 @@ def test_an_outline_is_dropped_where_its_axes_change(rows: Rows) -> None:
 
 def test_an_outline_over_components_belongs_to_one_fit(rows: Rows) -> None:
     query = {"region": "what I draw", "outline": "-99,-99;99,-99;99,99;-99,99"}
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), **query)
+    app = in_buffer(run=PENDULUM_TOM, step=str(FIT), **query)
     assert chosen(app) == len(rows)
     here = {name: str(app.query_params[name]) for name in ("outline", "axes")}
     query = {"region": "what I draw", **here}
-    assert chosen(draw("regions", run=PENDULUM_TOM, step=str(FIT), **query)) == len(rows)
-    assert chosen(draw("regions", run=PENDULUM_TOM, step="200", **query)) == 0
+    assert chosen(in_buffer(run=PENDULUM_TOM, step=str(FIT), **query)) == len(rows)
+    assert chosen(in_buffer(run=PENDULUM_TOM, step="200", **query)) == 0
     query = {"region": "what I draw", "outline": "1,nan;x"}
-    assert chosen(draw("regions", run=PENDULUM_TOM, **query)) == 0
+    assert chosen(in_buffer(run=PENDULUM_TOM, **query)) == 0
 
 
 def chosen(app: AppTest) -> int:
@@ -220,7 +222,7 @@ def chosen(app: AppTest) -> int:
 
 
 def test_a_part_of_the_buffer_by_age(rows: Rows) -> None:
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), region="an age")
+    app = in_buffer(run=PENDULUM_TOM, step=str(FIT), region="an age")
     app.slider(key="age").set_value((0, 50)).run()
     table = app.dataframe[0].value.set_index("")
     assert table.loc["transitions", "region"] == "150"
@@ -249,16 +251,3 @@ def test_robots_stand_as_they_were_recorded(store: Path, rows: Rows) -> None:
     assert np.linalg.norm(wxyz, axis=-1) == pytest.approx(1)
     kept = {"qpos": np.asarray(recorded.obs)[:, :2] + 5}
     assert states.poses(task("hopper"), recorded, kept, windows(ended, [7]))[0, WINDOW, 0] == 0
-
-
-def test_weights_shows_what_they_go_with(store: Path, rows: Rows) -> None:
-    app = draw("weights", run=PENDULUM_TOM, step=str(FIT))
-    age, returns, version, error = figures(app)[3:7]
-    groups = rows.weight.reshape(30, 10).mean(1)
-    assert array(age["data"][0]["y"]) == pytest.approx(groups)
-    assert array(version["data"][0]["x"])[0] == 0
-    for panel in (returns, version, error):
-        assert array(panel["data"][0]["y"]).min() >= 0
-    found = buffer.model_errors(info(store, PENDULUM_TOM), FIT)
-    assert not isinstance(found, str)
-    assert array(error["data"][0]["x"]).max() <= found[1].max()

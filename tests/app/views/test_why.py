@@ -3,6 +3,7 @@
 import os
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,8 @@ from app.data.regions import Plane
 from app.figures.regions import hover_data
 from app.links import Links
 from app.parts.plot import Point
-from app.parts.why import clicked
-from app.views.regions.region_tables import listed
+from app.views.attention.region_tables import listed
+from app.views.attention.why import clicked
 from tom.analysis import why as reasons
 from tom.cli import main
 from tom.record import Store, layout
@@ -29,6 +30,7 @@ from tom.training.presets import resolve
 from tom.training.run import train
 
 FIT = 300
+in_buffer = partial(draw, "attention", part="In the buffer")
 
 
 @pytest.fixture
@@ -148,11 +150,11 @@ def test_a_click_asks_about_the_point_under_it(store: Path) -> None:
 
 
 @pytest.mark.usefixtures("studio")
-@pytest.mark.parametrize("view", ["regions", "weights"])
-def test_the_page_says_why(store: Path, view: str) -> None:
+@pytest.mark.parametrize("part", ["Over time", "In the buffer"])
+def test_the_page_says_why(store: Path, part: str) -> None:
     rows = own_rows(store)
     row = int(rows.weight.argmax())
-    app = draw(view, run=PENDULUM_TOM, step=str(FIT), row=str(row))
+    app = draw("attention", part=part, run=PENDULUM_TOM, step=str(FIT), row=str(row))
     bars = next(f for f in figures(app) if f["data"][0]["type"] == "waterfall")
     values = array(trace(bars, type="waterfall")["y"])
     assert values[-1] == pytest.approx(rows.weight[row], abs=1e-5)
@@ -169,7 +171,7 @@ def test_every_neighbour_has_a_column_however_near_to_the_next(store: Path) -> N
     crowd = replace(near.near, distance=near.near.distance * 0 + 0.51)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(why, "neighbours", lambda *_: replace(near, near=crowd))
-        app = draw("weights", run=PENDULUM_TOM, step=str(FIT), row="5")
+        app = draw("attention", run=PENDULUM_TOM, step=str(FIT), row="5")
     (table,) = [part.value for part in app.dataframe if "this one" in part.value]
     shown = table[[f"{i + 1}: at 0.51" for i in range(len(crowd.distance))]].to_numpy().T
     expected = np.hstack([np.asarray(near.rows.obs), np.asarray(near.rows.action)])
@@ -186,7 +188,7 @@ def test_weights_that_no_learner_made_here_have_no_sum(store: Path) -> None:
 @pytest.mark.usefixtures("studio")
 @pytest.mark.parametrize("row", ["100000", "\u00b2", "1e400", "nan"])
 def test_a_row_that_the_buffer_does_not_have_is_dropped(store: Path, row: str) -> None:
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), row=row)
+    app = in_buffer(run=PENDULUM_TOM, step=str(FIT), row=row)
     assert app.number_input(key="row").value is None
     app.button(key="why heaviest").click().run()
     assert app.number_input(key="row").value == int(own_rows(store).weight.argmax())
@@ -195,12 +197,12 @@ def test_a_row_that_the_buffer_does_not_have_is_dropped(store: Path, row: str) -
 @pytest.mark.usefixtures("studio")
 def test_the_numbers_of_a_row_are_those_of_the_map_and_the_table(store: Path) -> None:
     rows = own_rows(store)
-    shown = metrics(draw("regions", run=PENDULUM_TOM, step=str(FIT), row="40"))
+    shown = metrics(in_buffer(run=PENDULUM_TOM, step=str(FIT), row="40"))
     told = hover_data(rows, np.array([40]))[0]
     assert shown["its step in its episode"] == str(told[2])
     line = listed(rows, np.array([40]), [f"obs {i}" for i in range(4)], ["action 1"]).iloc[0]
     assert (line["row"] + 1, line["episode"], line["step of the episode"]) == tuple(told[:3])
-    equal = metrics(draw("regions", run="pendulum-mle-0", step=str(FIT), row="5"))
+    equal = metrics(in_buffer(run="pendulum-mle-0", step=str(FIT), row="5"))
     assert equal["heavier than"] == "0.0 %"
 
 
