@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 Array = NDArray[np.float64]
-Scores = NDArray[Any] | Sequence[ArrayLike]
+Scores = Sequence[ArrayLike] | NDArray[Any]
 Statistic = Callable[..., Array]
 
 LEVEL = 0.95  # of every interval and band

@@ -53,7 +53,7 @@ def verify(reader: RunReader) -> list[str]:
     try:
         held = checkpoint.load(run.path / checkpoint.FOLDER)
     except TryLaterError as error:
-        unread = str(error)
+        unread = str(error).removeprefix(f"{run.run_id}: ")
     _ = run.config, run.labels, run.status
     for read in (run.metrics, run.metric_rows, run.profiles, run.notices, run.list_folders):
         read()

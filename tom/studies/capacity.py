@@ -7,14 +7,12 @@ on episodes that the kept policy of a step makes anew. Runs must be whole, or sm
 """
 
 from argparse import ArgumentParser, Namespace
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from math import exp, log, nan
 from statistics import median
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -52,7 +50,7 @@ def add_options(parser: ArgumentParser) -> None:
 def find(args: Namespace, lab: Lab) -> Findings:
     check_known("model", args.models, MODELS)
     outcomes = measured(args, lab, args.models)
-    if args.table and ratios(outcomes).empty:
+    if args.table and not any(ratios(outcomes, ERROR)):
         raise UserError(
             f"{args.table} has no moment with both uniform and other weights, "
             "whose errors are compared: name the moments.csv of another report"
@@ -68,17 +66,13 @@ def find(args: Namespace, lab: Lab) -> Findings:
     )
 
 
-def ratios(outcomes: Sequence[Row]) -> pd.DataFrame:
-    """Errors over those under uniform weights at the same moment and seed: way, model, `AHEAD`."""
-    uniform = {trial_of(one): one for one in outcomes if one["way"] == UNIFORM}
-    rows = [
-        {"way": one["way"], "model": model}
-        | {name: one[ahead + model] / even[ahead + model] for name, ahead in AHEAD.items()}
-        for one in outcomes
-        if one["way"] != UNIFORM and (even := uniform.get(trial_of(one)))
-        for model in models_of([one])
-    ]
-    return pd.DataFrame(rows, columns=["way", "model", *AHEAD])
+def ratios(outcomes: Sequence[Row], ahead: str) -> Iterator[tuple[str, str, float]]:
+    """(way, model, error relative to uniform weights at the same moment and seed)."""
+    base = {trial_of(one): one for one in outcomes if one["way"] == UNIFORM}
+    for one in outcomes:
+        if one["way"] != UNIFORM and (uniform := base.get(trial_of(one))):
+            for model in models_of([one]):
+                yield one["way"], model, one[ahead + model] / uniform[ahead + model]
 
 
 def summary(outcomes: Sequence[Row]) -> list[Row]:
@@ -86,18 +80,22 @@ def summary(outcomes: Sequence[Row]) -> list[Row]:
 
     Without those that share no moment and seed with uniform weights.
     """
-    rows, count = [], Counter(one["way"] for one in outcomes)
-    for (way, model), group in ratios(outcomes).groupby(["way", "model"], sort=False):
+    values: dict[tuple[str, str], dict[str, list[float]]] = {}
+    for name, ahead in AHEAD.items():
+        for way, model, ratio in ratios(outcomes, ahead):
+            values.setdefault((way, model), {}).setdefault(name, []).append(ratio)
+    rows, ways = [], list(dict.fromkeys(one["way"] for one in outcomes))
+    models = models_of(outcomes)
+    for way, model in sorted(values, key=lambda pair: (ways.index(pair[0]), models.index(pair[1]))):
         row: Row = {"way": way, "model": model}
-        for name in AHEAD:
-            low, high = np.quantile(group[name], (0.25, 0.75)).tolist()
+        for name, of in values[way, model].items():
             row |= {
-                name: median(group[name]),
-                f"{name}, lower quartile": low,
-                f"{name}, upper quartile": high,
-                f"{name}, below 1": float((group[name] < 1).mean()),
+                name: median(of),
+                f"{name}, lower quartile": float(np.quantile(of, 0.25)),
+                f"{name}, upper quartile": float(np.quantile(of, 0.75)),
+                f"{name}, below 1": sum(ratio < 1 for ratio in of) / len(of),
             }
-        rows.append(row | {"n": count[way]})
+        rows.append(row | {"n": sum(one["way"] == way for one in outcomes)})
     return rows
 
 
@@ -148,32 +146,31 @@ def verdict(rows: Sequence[Row], pairs: Sequence[Row]) -> list[str]:
 
 def capacity_figure(outcomes: Sequence[Row]) -> Figure:
     """Errors one step and five steps ahead, against the capacity of the model."""
-    figure, values = new_figure(9.0, 3.4), ratios(outcomes)
+    figure = new_figure(9.0, 3.4)
     axes = figure.subplots(1, len(AHEAD), sharey=True)
-    for ax, name in zip(axes, AHEAD, strict=True):
-        _draw(ax, values.set_index(["way", "model"])[name])
+    for ax, (name, ahead) in zip(axes, AHEAD.items(), strict=True):
+        _draw(ax, list(ratios(outcomes, ahead)))
         ax.set_title(f"{name} ahead")
     axes[0].set_ylabel("error over that of uniform weights")
     axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
-def _draw(ax: Axes, values: pd.Series) -> None:
-    """A line of medians over the models for each way, by (way, model)."""
-    models = [model for model in MODELS if model in values.index.unique("model")]
-    ways = [way for way in WAYS if way in values.index.unique("way")]
-    drawn = Counter[str]()  # lines of each learner so far
+def _draw(ax: Axes, values: Sequence[tuple[str, str, float]]) -> None:
+    models = [model for model in MODELS if any(m == model for _, m, _ in values)]
+    ways = [way for way in WAYS if any(w == way for w, _, _ in values)]
+    drawn: dict[str, int] = {}  # lines of each learner so far
     ax.axhline(1.0, color=NEUTRAL, linewidth=0.8)
     for number, way in enumerate(ways):
-        quartiles = [np.quantile(values.loc[way].loc[[m]], (0.25, 0.5, 0.75)) for m in models]
-        low, middle, high = np.array(quartiles).T
+        of = [[r for w, m, r in values if (w, m) == (way, model)] for model in models]
+        low, middle, high = np.array([np.quantile(group, (0.25, 0.5, 0.75)) for group in of]).T
         learner = WAYS[way].learner or ""
         ax.errorbar(
             np.arange(len(models)) + SPREAD * (number - (len(ways) - 1) / 2),
             middle,
             yerr=(middle - low, high - middle),
             color=learner_colour(learner),
-            linestyle=LINES[drawn[learner] % len(LINES)],
+            linestyle=LINES[drawn.setdefault(learner, 0) % len(LINES)],
             marker="o",
             markersize=4,
             elinewidth=0.8,

@@ -165,9 +165,10 @@ def test_a_run_that_died_becomes_stopped(record, checkpoints: int):
     assert any("heartbeat" in problem for problem in verify(run))
     repair(run)
     assert (run.path / "metrics.parquet").exists()
-    assert (run.status.state, run.status.env_step) == ("stopped", 1000)
-    assert ("tom train --resume run" in run.status.reason) == bool(checkpoints)
-    assert verify(run) == []
+    now = RunReader(run.path)
+    assert (now.status.state, now.status.env_step) == ("stopped", 1000)
+    assert ("tom train --resume run" in now.status.reason) == bool(checkpoints)
+    assert verify(now) == []
 
 
 def progress(run: RunReader) -> tuple[str, int, int, float | None, float | None, str]:
@@ -213,8 +214,8 @@ def test_a_lost_status_of_a_run_that_had_not_finished_is_stopped(store: Store, t
         before = progress(run)
         (run.path / "status.json").write_text('{"state": "finis')
         repair(run)
-        assert run.status.state == "stopped"
-        assert run.status.reason
+        assert RunReader(run.path).status.state == "stopped"
+        assert RunReader(run.path).status.reason
         assert progress(run)[2:5] == before[2:5]
 
 

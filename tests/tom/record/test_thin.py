@@ -120,7 +120,7 @@ def test_a_copy_of_a_run_that_had_not_finished_cannot_go_on(
     given = {"state": state, "reason": "tom train --resume run goes on"}
     content = asdict(run.status) | given | {"heartbeat": run.status.heartbeat - age}
     (run.path / "status.json").write_text(json.dumps(content))
-    small = RunReader(export_small(run, tmp_path))
+    small = RunReader(export_small(RunReader(run.path), tmp_path))
     assert small.shown == "stopped (a small copy)"
     assert f"step {STEPS}" in small.status.reason
     assert "--resume" not in small.status.reason
