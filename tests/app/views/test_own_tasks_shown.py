@@ -3,6 +3,7 @@
 import json
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,10 @@ from gymnasium.spaces import Box
 from studio_pages import array, draw, figures, set_links
 from studio_runs import PENDULUM_TOM, undescribed
 
-from app.data import readers, replays
+from app.data import buffer, readers, replays
 from app.links import Links
 from app.scenes import solids, states
 from app.scenes.replay import track
-from app.views.regions import buffer
 from tom.record import Store, layout
 from tom.record.reader import RunReader
 from tom.record.task_record import scene_of, task_of
@@ -26,6 +26,8 @@ from tom.training.run import train
 
 MUJOCO = ("Swimmer-v5", "Reacher-v5", "Pusher-v5")
 PENDULUM = "Pendulum-v1"
+in_buffer = partial(draw, "attention", part="In the buffer")
+on_one_buffer = partial(draw, "attention", part="Every learner on one buffer")
 SMALL = {"steps": 320, "evaluation": {"every": 160, "episodes": 1}, "matmul": "default"}
 
 
@@ -89,7 +91,7 @@ def test_robots_stand_in_the_states_of_a_buffer(shown: Path, run_id: str):
     assert len(robots.position) == 2
     assert np.isfinite(robots.floor)
     assert np.abs(robots.position[:, 0] - robots.position[:, 24]).max() > 1e-4
-    assert figures(draw("regions", run=run_id))
+    assert figures(in_buffer(run=run_id))
 
 
 @pytest.mark.parametrize("run_id", [PENDULUM, f"absent-{PENDULUM}"])
@@ -104,7 +106,7 @@ def test_without_a_robot_there_are_curves_and_no_empty_scene(shown: Path, run_id
     curves = next(f for f in figures(app) if len(f["data"]) == 6)  # three dimensions, twice
     assert array(curves["data"][0]["y"]) == pytest.approx(replay.episode.obs[:, 0])
     assert replays.recording(run, 320, 0, 10) is not None
-    regions = draw("regions", run=run_id)
+    regions = in_buffer(run=run_id)
     assert not regions.get("iframe")
     moments = figures(regions)[-1]["data"]  # three dimensions of the heaviest and the lightest
     assert len(moments) >= 3 * 10
@@ -117,23 +119,23 @@ def test_a_run_whose_task_is_not_described_has_no_robot(own: Path):
     (said,) = draw("replays", run=PENDULUM_TOM).warning
     assert "Lost" in said.value
     assert "\n" not in said.value
-    regions = draw("regions", run=PENDULUM_TOM)
+    regions = in_buffer(run=PENDULUM_TOM)
     assert not regions.get("iframe")
     assert figures(regions)
 
 
 def test_code_of_the_users_is_named_in_a_terminal_alone(shown: Path):
-    app = draw("probe", run="absent-Swimmer-v5")
+    app = on_one_buffer(run="absent-Swimmer-v5")
     (typed,) = (code.value for code in app.code if code.value.startswith("tom weigh absent"))
     assert "--env absent_module:Swimmer-v5" in typed
     assert "weigh" not in [button.key for button in app.button]
-    assert "weigh" in [button.key for button in draw("probe", run="Swimmer-v5").button]
-    regions = draw("regions", run="absent-Swimmer-v5")
+    assert "weigh" in [button.key for button in on_one_buffer(run="Swimmer-v5").button]
+    regions = in_buffer(run="absent-Swimmer-v5")
     assert any("tom brush absent" in said.value for said in regions.caption)
     assert "brush it" not in [button.key for button in regions.button]
-    assert "brush it" in [button.key for button in draw("regions", run="Swimmer-v5").button]
+    assert "brush it" in [button.key for button in in_buffer(run="Swimmer-v5").button]
     for run, offered in (("absent-Swimmer-v5", False), ("Swimmer-v5", True)):
-        of_a_row = draw("regions", run=run, row="5")
+        of_a_row = in_buffer(run=run, row="5")
         assert ("why weigh" in [button.key for button in of_a_row.button]) == offered
     assert "absent_module" not in sys.modules
 
@@ -155,7 +157,7 @@ class Heat(gym.Env):
 
 
 @pytest.mark.usefixtures("studio")
-def test_regions_of_a_task_of_one_observation(
+def test_the_buffers_map_of_a_task_of_one_observation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gym.register("Heat-v0", Heat, max_episode_steps=50)  # pyright: ignore[reportArgumentType]
@@ -165,7 +167,7 @@ def test_regions_of_a_task_of_one_observation(
         del gym.registry["Heat-v0"]
     set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
     for query in ({}, {"across": "obs 1"}, {"across": "observation 1"}):
-        app = draw("regions", run="heat", **query)
+        app = in_buffer(run="heat", **query)
         across = app.selectbox(key="across")
         assert across.options == [across.value]
         assert figures(app)

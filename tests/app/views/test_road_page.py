@@ -1,4 +1,4 @@
-"""Road and rocks: the weights over the map, and several runs side by side."""
+"""Attention on road-and-rocks: the weights over the map, and several runs side by side."""
 
 import shutil
 from pathlib import Path
@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studio_pages import array, draw, figures, metrics, recorded, set_links, trace
-from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, altered, info
+from studio_runs import ROAD_MLE, ROAD_TOM, altered, info
 
 from app.data import road
 from app.data.called import names, short_names, task, told_apart
 from app.links import Links
 from app.theme import COLUMNS, DIVERGING, rgb
-from app.views.road import BESIDE
+from app.views.attention.road import BESIDE
 from tom.record.export import export_small
 from tom.record.labels import Labels
 from tom.record.reader import RunReader
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("studio")
 
 
 def test_the_weights_and_the_policy_lie_over_the_map(store: Path) -> None:
-    app = draw("road", run=ROAD_TOM)
+    app = draw("attention", run=ROAD_TOM)
     (figure,) = figures(app)
     heat = trace(figure, name="weights")
     weight = RunReader(store / ROAD_TOM).snapshot(60)["weight"].to_numpy()
@@ -31,13 +31,13 @@ def test_the_weights_and_the_policy_lie_over_the_map(store: Path) -> None:
     table = app.dataframe[0].value.set_index("run")
     assert table.loc[ROAD_TOM, "weight on the road"] == pytest.approx(share)
     assert table.loc[ROAD_MLE, "road : rocks, random data"] == pytest.approx(1, abs=0.01)
-    policy = trace(figures(draw("road", run=ROAD_TOM, step="0"))[0], name="TOM policy")
+    policy = trace(figures(draw("attention", run=ROAD_TOM, step="0"))[0], name="TOM policy")
     first = RunReader(store / ROAD_TOM).field("trajectories", 0)["learnt_0"]
     assert array(policy["x"])[: len(first)] == pytest.approx(first[:, 0])
 
 
 def test_two_runs_are_drawn_side_by_side_on_one_scale(store: Path) -> None:
-    app = draw("road", run=ROAD_TOM, beside=ROAD_MLE, step="60")
+    app = draw("attention", run=ROAD_TOM, beside=ROAD_MLE, step="60")
     maps = [trace(figure, name="weights") for figure in figures(app)]
     assert {(each["zmin"], each["zmax"]) for each in maps} == {(-4, 4)}
     assert maps[0]["colorbar"]["tickvals"] == maps[1]["colorbar"]["tickvals"]
@@ -54,7 +54,7 @@ def test_more_runs_than_stand_beside_are_cut_to_those_that_do(own: Path) -> None
     ids = [f"road-{i}" for i in range(BESIDE + 2)]
     for run_id in ids:
         shutil.copytree(own / ROAD_MLE, own / run_id)
-    app = draw("road", run=ids[0], beside=ids[1:])
+    app = draw("attention", run=ids[0], beside=ids[1:])
     assert app.multiselect(key="beside").value == ids[1:-1]
     assert app.query_params["beside"] == ids[1:-1]
 
@@ -62,10 +62,10 @@ def test_more_runs_than_stand_beside_are_cut_to_those_that_do(own: Path) -> None
 def test_a_copy_without_its_buffer_says_what_was_recorded_of_the_road(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = metrics(draw("road", run=ROAD_TOM, step="60"))["weight on the road"]
+    whole = metrics(draw("attention", run=ROAD_TOM, step="60"))["weight on the road"]
     export_small(RunReader(store / ROAD_TOM), tmp_path, without=["buffer"])
     set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    assert metrics(draw("road", run=ROAD_TOM, step="60"))["weight on the road"] == whole
+    assert metrics(draw("attention", run=ROAD_TOM, step="60"))["weight on the road"] == whole
     assert float(whole.split()[0]) > 0
 
 
@@ -100,12 +100,3 @@ def test_in_either_theme_the_scene_and_the_map_agree_on_what_is_bright() -> None
     for mode in ("light", "dark"):
         light = [[sum(rgb(colour)) for _, colour in of[mode]] for of in (DIVERGING, COLUMNS)]
         assert len({columns[-1] > columns[0] for columns in light}) == 1
-
-
-def test_without_a_run_the_page_names_a_command_for_this_store(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
-    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    (code,) = draw("road").code
-    assert code.value.endswith(f"--store {tmp_path}")
