@@ -20,18 +20,21 @@ def label_ends(
 ) -> go.Figure:
     """Name every group's line at the right of the figure, at the height where it ends.
 
-    Labels that would overlap are moved apart. The figure has its height already.
+    Labels that would overlap are moved apart. The figure has its height already. Where a line ends
+    at or below zero on a log axis, the legend stays.
     """
     ends = [
         (float(group.mean[np.isfinite(group.mean)][-1]), looks[group.kind], group.n)
         for group in groups
     ]
+    if axes.log_y and any(y <= 0 for y, _, _ in ends):
+        return figure
     # The axis ends at the lowest and highest of what is drawn; so do the labels' places, in pixels.
     traces: list[Any] = list(figure.data)
     values = np.concatenate([np.asarray(t.y, np.float64) for t in traces if t.y is not None])
     values, ys = values[np.isfinite(values)], np.array([y for y, _, _ in ends])
     if axes.log_y:
-        values, ys = np.log10(values[values > 0]), np.log10(np.maximum(ys, 1e-300))
+        values, ys = np.log10(values[values > 0]), np.log10(ys)
     low, high = float(values.min()), float(values.max())
     span = (high - low) or 1.0
     pixels = (figure.layout.height or 300) - 60  # type: ignore[attr-defined]

@@ -41,8 +41,12 @@ def paper_figure(shown: Mapping[str, Any], width: str, kind: str) -> bytes:
 
     Raises ValueError, TypeError, KeyError or IndexError for what is no such figure.
     """
+    if kind not in KINDS:
+        raise ValueError(f"no format {kind!r}")
     inches = WIDTHS[width]
-    labels = [one for one in shown["annotations"] if one["xref"] == "paper" and one["x"] >= 1]
+    # Remarks in the figure's corner are at the edge as well, but at no height of the y axis.
+    notes = [one for one in shown["annotations"] if one["xref"] == "paper" and one["x"] >= 1]
+    labels = [one for one in notes if one["yref"] != "paper"]
     keyed = [t for t in shown["traces"] if t["showlegend"]] if shown["legend"] else []
     right = (
         RIGHT

@@ -1,4 +1,4 @@
-"""The Compare page and `tom reproduce returns` say the same of the gallery's runs."""
+"""Curves and `tom reproduce returns` say the same of the gallery's runs."""
 
 import shutil
 from collections.abc import Iterator
@@ -10,6 +10,7 @@ from studio_pages import draw, set_links
 
 from app.links import Links
 from tom.analysis.scores import BEST
+from tom.learners import LEARNERS
 from tom.record import Store
 from tom.studies import returns_cells as study
 from tom.studies import returns_tables as tables
@@ -20,6 +21,8 @@ GALLERY = study.select(COPIES, "paper")[0]
 ENVS = list(dict.fromkeys(cell.env for cell in GALLERY))
 
 
+LABELS = [entry.label for entry in LEARNERS.values()]
+"""groups' titles; the page shows six groups until others are opened"""
 LARGE = ("buffer", "checkpoint", "episodes", "model", "policies", "weights", "*.rrd")
 
 
@@ -47,7 +50,11 @@ def reported(env: str, at: int | None = None) -> dict[str, dict]:
 
 @pytest.mark.parametrize("env", ENVS)
 def test_the_table_of_curves_is_the_report_s(env: str) -> None:
-    table = draw("compare", env=env).dataframe[0].value.set_index("learner")
+    table = (
+        draw("curves", task=env, panel="eval/return", show=LABELS)
+        .dataframe[0]
+        .value.set_index("learner")
+    )
     rows = reported(env)
     assert set(table.index) == set(rows)
     for learner in rows:
@@ -60,8 +67,8 @@ def test_the_table_of_curves_is_the_report_s(env: str) -> None:
 
 @pytest.mark.parametrize("env", ENVS)
 def test_the_statistics_are_the_report_s(env: str) -> None:
-    query = {"show": "Statistics", "env": env, "task": env, "score": BEST}
-    table = draw("compare", **query).dataframe[0].value.set_index("group")
+    query = {"part": "Statistics", "task": env, "score": BEST}
+    table = draw("curves", show=LABELS, **query).dataframe[0].value.set_index("group")
     rows = reported(env)
     assert set(table.index) == set(rows)
     for learner, row in rows.items():

@@ -138,7 +138,7 @@ function shown(plot) {
       ticks: t.colorbar?.tickvals ? { tickvals: [...t.colorbar.tickvals], ticktext: [...(t.colorbar.ticktext ?? t.colorbar.tickvals)] } : null,
     };
   });
-  const annotations = (full.annotations ?? []).map(({ text, x, y, xref }) => ({ text, x, y, xref }));
+  const annotations = (full.annotations ?? []).map(({ text, x, y, xref, yref }) => ({ text, x, y, xref, yref }));
   const shapes = (full.shapes ?? []).filter(({ type }) => type === "line").map(({ x0, x1, y0, y1, line }) => ({ x0, x1, y0, y1, dash: line?.dash }));
   return { traces, axes, annotations, shapes, legend: full.showlegend, ratio: plot.clientHeight / plot.clientWidth };
 }

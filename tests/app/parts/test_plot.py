@@ -1,7 +1,7 @@
 """What a chart reports becomes plain values; the page is told where its server is."""
 
 from app.parts import plot
-from app.parts.plot import Point, Region
+from app.parts.plot import Follow, Point, Region, View
 from app.servers import pages
 
 
@@ -20,6 +20,20 @@ def test_a_region_has_points_and_an_outline() -> None:
     assert region.outline == ((0.0, 0.0), (1.0, 0.0), (1.0, 2.5))
 
 
+def test_a_view_has_the_shown_part_of_each_axis_and_none_for_all_of_it():
+    assert View.of({"x": [1, "2.5"], "y": None}) == View((1.0, 2.5), None)
+
+
+def test_what_follows_the_timeline_has_the_values_of_each_trace_at_its_steps():
+    follow = Follow(steps=[100, 200], traces={1: [[1.0, 2.0], [3.0, 4.0]]})
+    assert follow.message() == {
+        "cursor": False,
+        "steps": [100, 200],
+        "traces": [{"index": 1, "y": [[1.0, 2.0], [3.0, 4.0]]}],
+    }
+    assert Follow(cursor=True).message() == {"cursor": True, "steps": [], "traces": None}
+
+
 def test_plotly_is_served_from_this_machine() -> None:
     assert plot.LIBRARY.stat().st_size > 1e6
     assert plot.LIBRARY_PATH.startswith("/")
@@ -28,4 +42,4 @@ def test_plotly_is_served_from_this_machine() -> None:
 def test_the_shell_says_where_streamlit_is_before_its_scripts() -> None:
     page = pages.html()
     assert 0 < page.index("BACKEND_BASE_URL") < page.index('<script type="module"')
-    assert [route.path for route in pages.page_routes(["", "compare"])] == ["/", "/compare"]
+    assert [route.path for route in pages.page_routes(["", "curves"])] == ["/", "/curves"]

@@ -1,0 +1,207 @@
+"""Labels at the ends of lines, and figures drawn anew for a paper."""
+
+import io
+import json
+import re
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from app.figures.curves import Axes, group_curves, looks_of
+from app.figures.ends import GAP, label_ends, moved_apart
+from app.figures.paper import KINDS, WIDTHS, paper_figure
+from tom.analysis.curves import Curve, Group, aggregate
+
+STEPS = np.arange(0, 50_000, 1000)
+
+
+def group(learner: str, end: float, runs: int = 3, lowest: float = 0.0) -> Group:
+    return aggregate(
+        [
+            Curve(f"{learner}-{seed}", "hopper", learner, "paper", seed, STEPS,
+                  np.linspace(lowest, end + seed, len(STEPS)))
+            for seed in range(runs)
+        ]
+    )  # fmt: skip
+
+
+def labelled(groups: list[Group], axes: Axes = Axes()) -> go.Figure:  # noqa: B008 (it is frozen)
+    looks = looks_of((one.env, one.kind) for one in groups)
+    figure = group_curves(groups, "eval/return", 300, singles=False, axes=axes, looks=looks)
+    return label_ends(figure, groups, looks, axes)
+
+
+def labels(figure: go.Figure) -> list[dict[str, Any]]:
+    notes = figure.to_dict()["layout"]["annotations"]
+    return [one for one in notes if one["xref"] == "paper" and one["yref"] == "y"]
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(0, 300), min_size=1, max_size=8), st.floats(1, 20))
+def test_places_are_moved_apart_and_keep_their_order(places: list[float], gap: float) -> None:
+    before = np.array(places)
+    after = moved_apart(before, gap)
+    assert (np.diff(after[np.argsort(before, kind="stable")]) > 0.95 * gap).all()
+    apart = np.diff(np.sort(before))
+    if not len(apart) or apart.min() >= gap:
+        assert after == pytest.approx(before)
+
+
+def test_a_line_is_named_at_its_end_with_its_runs_in_its_colour() -> None:
+    groups = [group("tom", 90), group("mle", 10, runs=1)]
+    figure = labelled(groups)
+    assert figure.to_dict()["layout"]["showlegend"] is False
+    for label, one, words in zip(labels(figure), groups, ("TOM (3)", "MLE (1)"), strict=True):
+        assert label["text"].endswith(words)
+        assert looks_of([(one.env, one.kind)])[one.kind].colour in label["text"]
+        assert label["y"] == pytest.approx(one.mean[-1])  # far from the other
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_labels_of_lines_that_end_together_do_not_overlap(log: bool) -> None:
+    groups = [group(name, 90.0 + i, lowest=1) for i, name in enumerate(("tom", "mle", "pmac"))]
+    figure = labelled(groups, Axes(log_y=log))
+    at = [label["y"] for label in labels(figure)]
+    low, high = (1.0, max(float(one.high.max()) for one in groups))
+    low, high = (np.log10(low), np.log10(high)) if log else (low, high)
+    pixels = np.array(at) * (300 - 60) / (high - low)
+    assert min(abs(a - b) for a, b in combinations(pixels, 2)) > 0.95 * GAP
+
+
+def test_where_a_line_ends_below_zero_on_a_log_axis_the_legend_stays() -> None:
+    below, above = group("tom", -50, lowest=-100), group("mle", 10, lowest=1)
+    for groups in ([below], [below, above]):
+        figure = labelled(groups, Axes(log_y=True))
+        assert labels(figure) == []
+        assert figure.to_dict()["layout"].get("showlegend") is not False
+    assert len(labels(labelled([below, above]))) == 2
+
+
+def test_a_group_whose_name_is_html_is_words() -> None:
+    one = replace(group("tom", 10), variant="<img src=x>")
+    assert "<img" not in str(labels(labelled([one])))
+
+
+# For a paper
+
+
+def message(groups: list[Group], **changed: Any) -> dict[str, Any]:
+    """What `plot.js` sends of a figure of curves with labels at the ends of its lines."""
+    figure = labelled(groups).to_dict()
+    made: list[Any] = list(labelled(groups).data)
+    traces = [
+        {
+            "axes": "xy", "type": "scatter", "name": trace.name, "x": [*map(float, trace.x)],
+            "y": [None if np.isnan(y) else float(y) for y in trace.y], "z": None,
+            "mode": trace.mode, "opacity": trace.opacity or 1,
+            "colour": trace.line.color or "#444444", "width": trace.line.width,
+            "dash": trace.line.dash or "solid", "shape": "linear", "symbol": "circle", "size": 6,
+            "fill": trace.fillcolor, "showlegend": False, "colorscale": None, "zmin": None,
+            "zmax": None, "ticks": None,
+        }
+        for trace in made
+    ]  # fmt: skip
+    axis = {"type": "linear", "domain": [0, 1], "tickvals": None, "ticktext": None}
+    axes = {
+        "x": axis | {"range": [0, 50_000], "title": "env steps"},
+        "y": axis | {"range": [0, 100], "title": "Return"},
+    }
+    notes = [
+        {name: one[name] for name in ("text", "x", "y", "xref", "yref")}
+        for one in figure["layout"]["annotations"]
+    ]
+    shape = {"x0": 0, "x1": 1, "y0": 20, "y1": 20, "dash": "dash"}
+    whole = {"traces": traces, "axes": {"xy": axes}, "annotations": notes, "shapes": [shape],
+             "legend": False, "ratio": 0.6}  # fmt: skip
+    return json.loads(json.dumps(whole | changed))
+
+
+GROUPS = [group("tom", 90), group("mle", 88), group("pmac", 20, runs=1)]
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_paper_s_figure_has_the_width_of_its_columns_in_every_format(width: str) -> None:
+    files = {kind: paper_figure(message(GROUPS), width, kind) for kind in KINDS}
+    inches = WIDTHS[width]
+    (box,) = re.findall(rb"/MediaBox \[ ?0 0 ([\d.]+) ", files["pdf"])
+    assert float(box) == pytest.approx(72 * inches)
+    (points,) = re.findall(r'<svg[^>]* width="([\d.]+)pt"', files["svg"].decode(), re.DOTALL)
+    assert float(points) == pytest.approx(72 * inches)
+    assert Image.open(io.BytesIO(files["png"])).width == round(600 * inches)
+
+
+def test_a_paper_s_figure_says_what_the_page_says_in_letters() -> None:
+    svg = paper_figure(message(GROUPS), "one", "svg").decode()
+    words = re.findall(r"<text[^>]*>([^<]+)</text>", svg)
+    for one in ("TOM (3)", "MLE (3)", "env steps", "Return", "20k"):
+        assert one in words
+    for look in looks_of((one.env, one.kind) for one in GROUPS).values():
+        assert look.colour in svg.lower()
+
+
+def test_a_remark_in_the_corner_is_no_line_s_label() -> None:
+    remark = {"text": "thinned to 1500 points a line", "x": 1, "y": 0, "xref": "paper"}
+    notes = [*message(GROUPS)["annotations"], remark | {"yref": "paper"}]
+    plain, noted = (
+        paper_figure(message(GROUPS, annotations=some), "one", "svg").decode()
+        for some in (message(GROUPS)["annotations"], notes)
+    )
+    ids = r"(?s)<metadata>.*</metadata>|[pm][0-9a-f]{10}"  # dates and random names
+    assert re.sub(ids, "", noted) == re.sub(ids, "", plain)
+
+
+def test_labels_and_ticks_lie_inside_the_file() -> None:
+    long = [replace(group("tom", 90), variant="rollout.uniform_share 0.5"), group("mle", 10)]
+    file = Image.open(io.BytesIO(paper_figure(message(long), "one", "png"))).convert("L")
+    dark = np.asarray(file) < 200
+    edge = 3
+    assert not dark[:, :edge].any()
+    assert not dark[:, -edge:].any()
+    assert not dark[:edge].any()
+    assert not dark[-edge:].any()
+
+
+def test_a_legend_a_heatmap_bars_and_a_log_axis_are_drawn() -> None:
+    shown = message(GROUPS, legend=True, annotations=[])
+    for trace in shown["traces"]:
+        trace["showlegend"] = trace["fill"] is None
+    with_legend = paper_figure(shown, "one", "svg").decode()
+    assert "TOM (n = 3)" in with_legend
+    shown["axes"]["xy"]["y"] |= {"type": "log", "range": [0, 2]}
+    assert paper_figure(shown, "two", "pdf").startswith(b"%PDF")
+    first = shown["traces"][0]
+    first |= {"type": "bar", "x": [1, 2, 3], "y": [1, 2, 1], "colour": "rgba(200, 68, 28, 0.8)"}
+    assert paper_figure(shown, "one", "pdf").startswith(b"%PDF")
+    scale = [[0, "#ffffff"], [0.5, "rgb(243, 241, 237)"], [1, "#8c2304"]]
+    heat = {"type": "heatmap", "x": [1, 2], "y": [0.5, 1.5], "z": [[1, None], [3, 4]],
+            "colorscale": scale, "zmin": 0, "zmax": 4,
+            "ticks": {"tickvals": [0, 4], "ticktext": ["0", "4"]}}  # fmt: skip
+    shown |= {"traces": [first | heat], "shapes": []}
+    shown["axes"]["xy"]["y"] |= {"type": "linear", "range": [0, 2]}
+    assert paper_figure(shown, "two", "png").startswith(b"\x89PNG")
+
+
+WRONG: list[Any] = [
+    {}, [], "a figure", None, {"traces": []},
+    message(GROUPS, traces=[{"axes": "xy"}]), message(GROUPS, axes={}),
+    message(GROUPS, ratio="wide"), message(GROUPS, annotations=[{"xref": "paper"}]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("shown", WRONG)
+def test_what_is_no_figure_raises_what_the_page_answers_to(shown: Any) -> None:
+    with pytest.raises((ValueError, TypeError, KeyError, IndexError)):
+        paper_figure(shown, "one", "svg")
+
+
+@pytest.mark.parametrize(("width", "kind"), [("wide", "pdf"), ("one", "exe"), ("one", "ps")])
+def test_another_width_or_format_raises(width: str, kind: str) -> None:
+    with pytest.raises((ValueError, KeyError)):
+        paper_figure(message(GROUPS), width, kind)
