@@ -31,7 +31,8 @@ def draw(scope: Scope) -> None:
     """A run, an evaluation, an episode; the robot, its return and its reward."""
     run = scope.one(lambda run: bool(run.evaluation_steps()), widgets.telling)
     if run is None:
-        st.info("No run here has been evaluated yet: its episodes are recorded then.")
+        if not empty.left_out_of_all(scope.runs, empty.EVALUATIONS):
+            st.info("No run here has been evaluated yet: its episodes are recorded then.")
         return
     steps = run.evaluation_steps()
     asked = timeline.chosen(sorted({*readers.profiles(run).env_step.tolist(), *steps}))
