@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 import streamlit as st
 from streamlit.testing.v1 import AppTest
-from studio_pages import captions, draw, set_links
+from studio_pages import draw, figures, set_links
 from studio_runs import info
 
 from app.data import readers
 from app.links import Links
-from app.parts.widgets import differs, most_telling
-from app.views.compare.labels import overview
-from app.views.live.now import NO_MODEL
+from app.parts.cards import progress_line
+from app.parts.widgets import differs, telling
+from app.views.curves.runs import overview
 from tom.record import RunReader, Store, layout
 from tom.record.export import export_small
 from tom.reports.index import small_copies
@@ -45,44 +45,45 @@ def said(app: AppTest) -> str:
 
 @pytest.mark.usefixtures("bare")
 @pytest.mark.parametrize(
-    ("view", "run", "part"),
+    ("view", "part", "run", "lacking"),
     [
-        ("weights", PENDULUM, "buffer"),
-        ("regions", PENDULUM, "buffer"),
-        ("road", ROAD, "buffer"),
-        ("replays", PENDULUM, "dynamics model"),
-        ("replays", PENDULUM, "other evaluations, other episodes"),
-        ("probe", PENDULUM, "buffer"),
+        ("attention", "Over time", PENDULUM, "buffer"),
+        ("attention", "In the buffer", PENDULUM, "buffer"),
+        ("attention", "Every learner on one buffer", PENDULUM, "buffer"),
+        ("attention", "Over time", ROAD, "buffer"),
+        ("replays", "One episode", PENDULUM, "dynamics model"),
+        ("replays", "One episode", PENDULUM, "other evaluations, other episodes"),
     ],
 )
-def test_what_was_left_out_is_named(view: str, run: RunReader, part: str) -> None:
-    lines = said(draw(view, run=run.run_id)).splitlines()
-    assert any(part in line and "left out" in line.lower() for line in lines)
+def test_what_was_left_out_is_named(view: str, part: str, run: RunReader, lacking: str) -> None:
+    lines = said(draw(view, run=run.run_id, part=part)).splitlines()
+    assert any(lacking in line and "left out" in line.lower() for line in lines)
 
 
 def test_evaluations_that_were_left_out_are_not_called_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other = next(run for run in TOM if run.env == PENDULUM.env and run.run_id != PENDULUM.run_id)
-    for run, without in ((PENDULUM, ("evaluations",)), (other, ())):
-        export_small(run, tmp_path, without=without)
+    export_small(PENDULUM, tmp_path, without=("evaluations",))
     set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    words = said(draw("live", runs=PENDULUM.run_id))
+    words = said(draw("replays"))
     assert "left out" in words.lower()
-    assert "comes with the first" not in words
+    assert "yet" not in words
+    export_small(other, tmp_path)
     sides = [PENDULUM.run_id, other.run_id]
-    words = said(draw("compare", show="Side by side", side=sides))
-    assert "left out" in words.lower()
-    assert "not evaluated yet" not in words
+    words = said(draw("replays", part="Side by side", side=sides))
+    assert "left out" in words
+    assert "yet" not in words
 
 
 def test_a_recording_of_sac_has_no_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (recording,) = (r for r in small_copies(Store(GALLERY)) if r.run_id == "hopper-sac-s0")
     export_small(recording, tmp_path)
     set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    app = draw("live", runs="hopper-sac-s0")
-    assert captions(app).count(NO_MODEL) == 2  # the map, the weights of the last fit
-    assert not [toggle for toggle in app.toggle if toggle.label == "Log axis"]
+    for part in ("Over time", "In the buffer"):
+        app = draw("attention", run=recording.run_id, part=part)
+        assert not figures(app)
+        assert app.info
 
 
 def test_the_table_of_runs_and_the_cards_say_which_is_one(bare: Path) -> None:
@@ -92,20 +93,22 @@ def test_the_table_of_runs_and_the_cards_say_which_is_one(bare: Path) -> None:
     config.write_text(json.dumps(content))
     copy, whole = info(bare, PENDULUM.run_id), info(bare, ROAD.run_id)
     assert list(overview([copy, whole])["state"]) == ["finished (a small copy)", "finished"]
-    (bar,) = draw("live", runs=PENDULUM.run_id).get("progress")
-    assert bar.proto.text.endswith(" steps · a small copy")
-    (bar,) = draw("live", runs=ROAD.run_id).get("progress")
-    assert bar.proto.text.endswith(" steps")
+    assert progress_line(copy).endswith(" steps · a small copy")
+    assert progress_line(whole).endswith(" steps")
 
 
-def test_pages_open_with_ones_own_newest_run_and_else_with_toms_longest_copy(store: Path) -> None:
-    copies = readers.listing(str(GALLERY)).runs
-    first = most_telling(copies)
-    assert (first.env, first.learner) == ("hopper", "tom")
-    assert "buffer" not in first.left_out  # as its twin of another seed's is
-    own = readers.listing(str(store)).runs
-    mixed = [*copies, *own]
-    newest = next(run for run in own if differs(run))
-    assert most_telling(mixed) == newest
+def test_pages_open_with_ones_own_weighing_run_and_else_with_toms_longest_copy(
+    store: Path,
+) -> None:
+    copies, own = readers.listing(str(GALLERY)).runs, readers.listing(str(store)).runs
+    first = min(copies, key=telling)
+    assert (first.learner, first.preset) == ("tom", "mended")
+    assert first.status.env_step == max(
+        run.status.env_step for run in copies if (run.learner, run.preset) == ("tom", "mended")
+    )
+    mine = min([*copies, *own], key=telling)
+    assert mine in own
+    assert differs(mine)
     uniform = [run for run in copies if run.learner == "mle"]
-    assert most_telling(uniform).status.env_step == max(run.status.env_step for run in uniform)
+    longest = max(run.status.env_step for run in uniform)
+    assert min(uniform, key=telling).status.env_step == longest
