@@ -121,7 +121,7 @@ def test_a_page_of_another_origin__opens_no_socket_of_the_3d_server(
 
 
 @pytest.mark.parametrize(
-    "path", ["/", "/compare", "/_stcore/metrics", "/_stcore/health", "/_stcore/host-config"]
+    "path", ["/", "/curves", "/_stcore/metrics", "/_stcore/health", "/_stcore/host-config"]
 )
 def test_a_name_that_was_made_to_point_here__is_told_nothing_by_the_studio(
     path: str, studio: Links
@@ -213,7 +213,7 @@ def test_a_page_without_the_key_that_sends_the_clicks_of_one_with_it__changes_no
     studio: Links,
 ):
     views = Path(studio.store) / ".views"
-    with Tab(studio, "compare", studio.key) as mine, Tab(studio, "compare") as other:
+    with Tab(studio, "curves", studio.key) as mine, Tab(studio, "curves") as other:
         link = buttons(mine.draw())["Make a short link"]
         assert buttons(other.draw()) == {}
         other.draw(trigger_value=link)
