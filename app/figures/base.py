@@ -14,12 +14,9 @@ from tom import readable
 from tom.envs import ROAD
 
 ENV_STEPS = "env steps"
-ROW, ENTRY, LETTER = 19, 45, 6
-"""pixels: a row of a legend, an entry of it without its title, and a letter of the title"""
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 """for lines of one colour"""
 GRID = "rgba(128, 138, 158, 0.22)"
-MARGINS = 30  # pixels, left and right together
 LAYOUT: dict[str, Any] = {
     "margin": {"l": 4, "r": 26, "t": 14, "b": 4},
     "paper_bgcolor": "rgba(0,0,0,0)",
@@ -132,17 +129,6 @@ def dashes(learners: Sequence[str]) -> list[str]:
     """A dash for each of several lines, another one for each line of the same learner."""
     counts = [learners[:i].count(learner) for i, learner in enumerate(learners)]
     return [DASHES[count % len(DASHES)] for count in counts]
-
-
-def legend_rows(titles: Iterable[str], width: int) -> int:
-    """Rows that a legend with these titles fills in a figure of `width` pixels, about."""
-    rows, left = 0, 0
-    for title in titles:
-        needs = ENTRY + LETTER * len(title)
-        if needs > left:
-            rows, left = rows + 1, width - MARGINS
-        left -= needs
-    return rows
 
 
 def note(figure: go.Figure, words: Sequence[str], right: float = 1) -> go.Figure:

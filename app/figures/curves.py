@@ -1,7 +1,7 @@
 """Metrics against env steps or another axis: single runs, and groups with their looks and bands."""
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
 from typing import Any
@@ -14,13 +14,11 @@ from app import text
 from app.figures.base import (
     DASHES,
     ENV_STEPS,
-    ROW,
     band,
     cut_bands,
     dashes,
     decimate,
     left_out,
-    legend_rows,
     line,
     note,
     steps_in_words,
@@ -44,8 +42,6 @@ from tom.learners import SUBJECT
 
 POINTS = 1500
 """maximum number of points of a line; the figure says if points were left out"""
-ROWS = 2
-"""rows of the legend that a figure's height has room for"""
 LONGEST = 40
 """maximum number of characters of a group's title in the hover text"""
 
@@ -220,15 +216,11 @@ def group_curves(
     axes: Axes = PLAIN,
     window: int = 1,
     looks: Mapping[Kind, Look] | None = None,
-    hidden: Collection[Kind] = (),
-    width: int = 0,
 ) -> go.Figure:
     """One line per group with its band, thin lines for single runs, dots if runs are missing.
 
     Lines and bands are averaged over `window` points, and the figure says so. `looks` are those of
-    all groups of a comparison, also of those in other figures. `hidden` groups appear only in the
-    legend. A figure that is at least `width` pixels wide is higher by the legend's rows beyond
-    `ROWS`, which would else take the lines' room; 0: no higher.
+    all groups of a comparison, also of those in other figures.
     """
     figure = go.Figure()
     drawn: list[tuple[NDArray, NDArray]] = []
@@ -244,17 +236,10 @@ def group_curves(
             traces.append(drawn_band.update(uid=_identity(smooth, "band"), name="band"))
         count = f"n = {group.n}" if group.n > 1 else "1 seed, no band"
         traces += _middle(smooth, f"{look.title} ({count})", look)
-        if group.kind in hidden:
-            figure.add_traces([trace.update(visible="legendonly") for trace in traces])
-            continue
         figure.add_traces(traces)
         drawn.append((smooth.step, smooth.mean))
         if singles and group.n > 1:
             drawn += [(curve.step, curve.value) for curve in group.curves]
-    if width:
-        lines: list[Any] = list(figure.data)
-        titles = [trace.name for trace in lines if trace.showlegend]
-        height += ROW * max(0, legend_rows(titles, width) - ROWS)
     _draw_axes(figure, metric, height, axes, [group.env for group in groups])
     words = [f"smoothed: mean of {window} points of the line"] if window > 1 else []
     if any(group.thinned for group in groups):

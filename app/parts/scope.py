@@ -97,11 +97,6 @@ class Scope:
         return self.looks[self.kinds[run.run_id]].title
 
     @property
-    def hidden_kinds(self) -> list[Kind]:
-        """The groups that are hidden."""
-        return [kind for kind, look in self.looks.items() if look.title in self.hidden]
-
-    @property
     def only_seeds_differ(self) -> bool:
         """Whether the runs of a group differ in nothing but the seed."""
         return self.by == USUAL
@@ -176,6 +171,10 @@ def _absent(everything: Sequence[RunReader]) -> None:
     """Say where the chosen run is, if it is not in the store."""
     asked = "".join(address.value_of("run", list)[-1:])
     if not asked or any(run.run_id == asked for run in everything):
+        return
+    from app.data import weighings  # here: it is seldom needed, and imports much
+
+    if any(data.run_id == asked for data in weighings.datasets(session.links().store)):
         return
     from app.data import weighings  # here: few addresses need it
 

@@ -1,11 +1,13 @@
 """Colours can be told apart and read."""
 
+from colorsys import rgb_to_hls
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 
+from app.figures.curves import looks_of
 from app.scenes.solids import linear
 from app.theme import (
     BACKGROUND,
@@ -23,6 +25,8 @@ from app.theme import (
     ramp,
     rgb,
 )
+from tom.analysis.settings import Kind
+from tom.envs import ROAD
 from tom.learners import LEARNERS
 
 # Machado, Oliveira and Fernandes (2009), severity 1.
@@ -106,6 +110,49 @@ def test_colours_differ_for_every_eye(colours: tuple[str, ...], least: float, vi
 def test_an_ordered_scale_gets_lighter_for_every_eye(mode: Mode, vision: str) -> None:
     lightness = [lab(VISION[vision] @ light(colour))[0] for colour in ramp(7, mode)]
     assert (np.diff(lightness) > 3).all()
+
+
+def test_a_group_s_look_is_the_same_whatever_is_shown_beside_it() -> None:
+    settings = ("", "model.hidden 8", "model.hidden 16")
+    kinds = [
+        Kind(learner, preset, variant)
+        for learner in ("tom", "mle", "pmac")
+        for preset in ("paper", "mended")
+        for variant in settings
+    ]
+    looks = looks_of(("hopper", kind) for kind in kinds)
+    assert {look.dash for look in looks.values()} == {"solid"}
+    for kind, look in looks.items():
+        for beside in ([kind], [kinds[-1], kind], [k for k in kinds if k.preset == kind.preset]):
+            again = looks_of(("hopper", one) for one in beside)[kind]
+            assert (again.colour, again.symbol) == (look.colour, look.symbol)
+    for learner in ("tom", "mle", "pmac"):
+        of_learner = {kind: look for kind, look in looks.items() if kind.learner == learner}
+        assert len({look.colour for look in of_learner.values()}) == len(of_learner)
+
+
+@pytest.mark.parametrize(("learner", "main"), [("tom", "mended"), ("mle", "paper")])
+def test_hue_is_the_learner_and_lightness_the_preset(learner: str, main: str) -> None:
+    def colour(preset: str, env: str = "hopper") -> str:
+        kind = Kind(learner, preset, "")
+        return looks_of([(env, kind)])[kind].colour
+
+    def hue(colour: str) -> float:
+        return rgb_to_hls(*(part / 255 for part in rgb(colour)))[0]
+
+    (other,) = {"paper", "mended"} - {main}
+    assert colour(main) == colour("smoke") == learner_colour(learner)
+    assert colour("paper", ROAD) == learner_colour(learner)  # the main preset there
+    assert hue(colour(other)) == pytest.approx(hue(colour(main)), abs=0.02)
+    assert lab(light(colour(other)))[0] > lab(light(colour(main)))[0] + 10
+
+
+@pytest.mark.parametrize("vision", VISION)
+def test_tom_as_printed_is_told_from_all_main_groups_by_every_eye(vision: str) -> None:
+    kind = Kind("tom", "paper", "")
+    pale = lab(VISION[vision] @ light(looks_of([("hopper", kind)])[kind].colour))
+    others = [lab(VISION[vision] @ light(colour)) for colour in LEARNER_COLOURS.values()]
+    assert min(np.linalg.norm(pale - other) for other in others) >= 11
 
 
 def test_an_unknown_learner_is_neutral_and_keeps_its_name() -> None:

@@ -93,7 +93,6 @@ def chart(
     *,
     view: View | None = None,
     viewed: Callable[[View], None] | None = None,
-    hidden: Callable[[list[str]], None] | None = None,
     follow: Follow | None = None,
     linked: str = "",
     caption: str = "",
@@ -104,8 +103,7 @@ def chart(
     user saves. With `selected` the figure has box and lasso; it is called with None when the
     selection is cleared. Zoom, selection and hidden lines last while the figure's `uirevision`
     stays the same. A page that stores the zoom itself passes the `view`, and `viewed` is called
-    with each new one; `hidden` is called with the `uid` of every line that is switched off in the
-    legend. All callbacks run before the page is drawn again.
+    with each new one. All callbacks run before the page is drawn again.
     """
 
     def on_click() -> None:
@@ -123,17 +121,11 @@ def chart(
         if viewed is not None and message is not None:
             viewed(View.of(message))
 
-    def on_hide() -> None:
-        message = st.session_state[key].get("hidden")
-        if hidden is not None and message is not None:
-            hidden([str(uid) for uid in message])
-
     data = {
         "figure": figure.to_json(remove_uids=False),
         "library": LIBRARY_PATH,
         "label": label,
         "selects": selected is not None,
-        "hides": hidden is not None,
         "view": asdict(view) if view else None,
         "follows": follow.message() if follow else None,
         "linked": linked,
@@ -147,7 +139,6 @@ def chart(
         on_clicked_change=on_click,
         on_selected_change=on_select,
         on_viewed_change=on_view,
-        on_hidden_change=on_hide,
     )
 
 

@@ -221,12 +221,6 @@ function zoomed(layout, { view, count }) {
   return { ...layout, xaxis: axis(layout.xaxis, view.x), yaxis: axis(layout.yaxis, view.y) };
 }
 
-// The lines that the legend has switched off, by their uid.
-function hiddenLines({ _fullData }) {
-  const off = _fullData.filter(({ visible, showlegend }) => visible === "legendonly" && showlegend);
-  return off.map(({ uid }) => uid);
-}
-
 // The other charts on the page that share this one's x axis.
 function linked(plot) {
   const others = [...document.querySelectorAll(".plot")];
@@ -283,7 +277,6 @@ function wire(plot, Plotly) {
     plot.viewed.push(words);
     plot.tell("viewed", view);
   });
-  plot.on("plotly_restyle", () => plot.hides && plot.tell("hidden", hiddenLines(plot)));
   plot.on("plotly_deselect", () => plot.selects && select({ points: [], outline: [] }));
   plot.watch ??= new ResizeObserver(() => {
     // A chart on a hidden tab has no width until it is shown.
@@ -324,7 +317,6 @@ export default function ({ data, parentElement, setTriggerValue }) {
   const plot = parentElement.querySelector(".plot");
   plot.tell = setTriggerValue;
   plot.selects = data.selects;
-  plot.hides = data.hides;
   plot.follows = data.follows;
   plot.linked = data.linked;
   plot.viewed ??= [];

@@ -14,7 +14,6 @@ from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import readers, road
 from app.figures.base import (
-    ROW,
     decimate,
     linear_scale,
     octaves,
@@ -38,7 +37,7 @@ from app.figures.weights import (
 )
 from app.parts import widgets
 from app.theme import learner_colour
-from tom.analysis.curves import GRID, Curve, Group, aggregate
+from tom.analysis.curves import GRID, Curve, aggregate
 from tom.analysis.statistics import Interval
 from tom.record.decode import Profiles
 from tom.record.reader import RunReader
@@ -128,20 +127,6 @@ def test_a_group_has_single_runs_a_band_and_a_mean() -> None:
     assert mean.y.tolist() == group.mean.tolist()
     assert band.y.tolist() == [*group.high, *group.low[::-1]]
     assert len(traces(group_curves([group], "x", 300, singles=False))) == 2
-
-
-def test_the_rows_of_a_long_legend_do_not_take_the_lines_room() -> None:
-    many = [replace(aggregate([long_curve(5)]), variant=f"model.hidden {i}") for i in range(6)]
-
-    def height(groups: list[Group], width: int) -> int:
-        return group_curves(groups, "x", 300, singles=False, width=width).to_dict()["layout"][
-            "height"
-        ]
-
-    assert height(many, width=400) == 300 + 4 * ROW  # a row each, two of which have room
-    assert height(many, width=700) == 300 + ROW
-    assert height(many[:2], width=400) == 300
-    assert height(many, width=0) == 300
 
 
 def test_a_log_axis_says_what_it_leaves_out_and_keeps_bands_above_zero() -> None:
