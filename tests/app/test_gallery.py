@@ -13,7 +13,7 @@ from studio_pages import array, draw, figures, set_links, trace
 
 from app.data import studies
 from app.links import Links
-from app.views.compare.numbers import NO_SAC
+from app.views.curves.numbers import NO_SAC
 from tom import readable
 from tom.analysis.imagine import stored_step
 from tom.learners import LEARNER_NAMES
@@ -121,24 +121,25 @@ def test_its_studies_say_what_was_found_and_by_which_command() -> None:
 
 @pytest.mark.parametrize("run", EACH)
 @pytest.mark.usefixtures("shown")
-def test_live_draws_its_returns(run: RunReader) -> None:
-    line = trace(figures(draw("live", runs=run.run_id))[0], meta=run.run_id)
+def test_curves_draws_its_returns(run: RunReader) -> None:
+    [panel] = figures(draw("curves", task=run.env, find=run.run_id, panel="eval/return"))
+    line = trace(panel, meta=run.run_id)
     step, value = values(run, "eval/return")
     assert array(line["x"]).tolist() == step
-    assert array(line["y"]).tolist() == value
+    assert array(line["y"]) == pytest.approx(value)
 
 
-@pytest.mark.parametrize("run", EACH)
+@pytest.mark.parametrize("run", MUJOCO)
 @pytest.mark.usefixtures("shown")
-def test_weights_draws_its_last_fit(run: RunReader) -> None:
-    drawn = figures(draw("weights", run=run.run_id))
+def test_attention_draws_its_last_fit(run: RunReader) -> None:
+    drawn = figures(draw("attention", run=run.run_id))
     assert array(drawn[1]["data"][0]["y"]) == pytest.approx(run.profiles().bins[-1])
     assert len(drawn) > 3  # what weights go with: the buffer is there
 
 
 @pytest.mark.usefixtures("shown")
 def test_statistics_compare_no_recording_of_sac() -> None:
-    app = draw("compare", env="walker2d", show="Statistics", task="walker2d")
+    app = draw("curves", part="Statistics", task="walker2d")
     assert NO_SAC in [caption.value for caption in app.caption]
     assert not any("nothing was recorded" in caption.value for caption in app.caption)
     assert not any("SAC" in name for name in app.dataframe[0].value["group"])
@@ -146,8 +147,8 @@ def test_statistics_compare_no_recording_of_sac() -> None:
 
 @pytest.mark.parametrize("run", MUJOCO)
 @pytest.mark.usefixtures("shown")
-def test_regions_has_its_buffer(run: RunReader) -> None:
-    table = draw("regions", run=run.run_id).dataframe[0].value.set_index("")
+def test_its_buffer_can_be_looked_at(run: RunReader) -> None:
+    table = draw("attention", run=run.run_id, part="In the buffer").dataframe[0].value.set_index("")
     count = len(run.snapshot(run.snapshot_steps()[-1]))
     assert int(table.loc["transitions", "buffer"].replace(",", "")) == count
     assert 0.98 < float(table.loc["mean weight", "buffer"]) < 1.02
@@ -165,8 +166,8 @@ def test_replays_plays_its_last_episode(run: RunReader) -> None:
 
 @pytest.mark.parametrize("run", [param for param in EACH if param.id == ROAD])
 @pytest.mark.usefixtures("shown")
-def test_road_draws_its_weights_over_the_map(run: RunReader) -> None:
-    app = draw("road", run=run.run_id)
+def test_the_roads_weights_are_drawn_over_the_map(run: RunReader) -> None:
+    app = draw("attention", run=run.run_id)
     shown = {metric.label: metric.value for metric in app.metric}
     share = values(run, "weights/road_share")[1][-1]
     assert float(shown["weight on the road"].split()[0]) == pytest.approx(100 * share, abs=0.2)
@@ -176,9 +177,9 @@ def test_road_draws_its_weights_over_the_map(run: RunReader) -> None:
 
 @pytest.mark.parametrize("path", WEIGHINGS, ids=lambda path: path.name)
 @pytest.mark.usefixtures("shown")
-def test_probe_finds_its_weighings(path: Path) -> None:
-    report = read_json(path / REPORT)
-    app = draw("probe", run=report["data"], weighed=path.name)
+def test_its_weighings_are_found(path: Path) -> None:
+    report, part = read_json(path / REPORT), "Every learner on one buffer"
+    app = draw("attention", run=report["data"], part=part, weighed=path.name)
     table = pd.read_csv(path / "profile.csv")
     for learner in table["learner"].unique():
         line = trace(figures(app)[0], meta=learner)
