@@ -173,7 +173,7 @@ def _side(title: str, runs: Sequence[RunReader]) -> Side:
     name = text.markdown(title)  # it stands in sentences
     return Side(
         name,
-        _uniform(runs[0]),
+        all(map(_uniform, runs)),  # grouped by a setting, learners are mixed
         tuple(run.seed for run in runs),
         [readers.profiles(run) for run in runs],
         [widgets.curve(run, "eval/return") for run in runs],

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import plotly.graph_objects as go
 import pytest
 from hypothesis import given, settings
@@ -259,6 +260,18 @@ def test_a_zoom_out_of_one_panel_leaves_the_heights_of_the_others(
     assert state[zoom.ZOOM] == {"": (5.0, 6.0), "a": (1.0, 2.0)}
 
 
+def test_a_look_at_another_part_changes_no_panel_and_no_axis() -> None:
+    app = curves(panel="weights/ess", logx="true", zoom="~10~300")
+    before = dict(app.query_params.items())
+    app.segmented_control(key="part").set_value("Statistics").run()
+    assert not app.exception
+    assert "panel" not in app.query_params
+    app.segmented_control(key="part").set_value("Curves").run()
+    assert app.multiselect(key="panel").value == ["weights/ess"]
+    assert first(app)["layout"]["xaxis"]["type"] == "log"
+    assert dict(app.query_params.items()) == before
+
+
 def test_the_timeline_is_of_the_chosen_run(store: Path) -> None:
     run = RunReader(store / SEEDS[1])
     (timeline,) = parts(curves(run=SEEDS[1], step="250"), "tom_timeline")
@@ -403,6 +416,16 @@ def test_a_run_gets_a_name_is_found_by_it_and_goes_to_the_trash_and_back(own: Pa
     app.multiselect(key="restored").select(PENDULUM_TOM).run()
     next(button for button in app.button if button.label == "Bring back").click().run()
     assert (own / PENDULUM_TOM / layout.CONFIG).exists()
+
+
+def test_a_tick_in_the_table_is_an_eye(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unticked(table: pd.DataFrame, **_: object) -> pd.DataFrame:
+        return table.assign(shown=table["shown"] & (table["run"] != SEEDS[1]))
+
+    monkeypatch.setattr(page.runs.st, "data_editor", unticked)
+    app = curves("Runs")
+    assert app.session_state["hide"] == [SEEDS[1]]
+    assert app.query_params["hide"] == SEEDS[1]
 
 
 def test_tags_of_several_runs_are_those_they_share_and_others_stay(own: Path) -> None:
