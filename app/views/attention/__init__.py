@@ -10,10 +10,16 @@ from app import session, text
 from app.data import buffer, readers
 from app.data.answer import newest_share
 from app.data.buffer import Floats, against
-from app.data.called import names
+from app.data.called import names, told_apart
 from app.figures.base import steps_in_words
 from app.figures.regions import weights_against
-from app.figures.weights import effective_sample, weight_map, weight_profile, with_returns
+from app.figures.weights import (
+    effective_sample,
+    profile_lines,
+    weight_map,
+    weight_profile,
+    with_returns,
+)
 from app.parts import address, empty, readout, timeline, widgets
 from app.parts.plot import Follow, Point, chart
 from app.parts.readout import Number
@@ -31,6 +37,8 @@ TIME, BUFFER, LEARNERS_ON_IT = "Over time", "In the buffer", "Every learner on o
 EVEN = 0.9999
 """effective sample size (share) from which weights count as uniform"""
 RELATIVE, LINEAR = "against uniform", "as they are"
+TOGETHER = 6
+"""maximum number of runs whose last fits share an axis"""
 AGAINST = (
     "Solid: mean weight of 30 equal groups of transitions. Dotted: nine of ten transitions of a "
     "group weigh less. Dashed: all count the same. Model error: root mean square over the "
@@ -80,6 +88,7 @@ def _over_time(scope: Scope, row) -> None:
     _figures(run, profiles, fits.index(fit), relative=scale == RELATIVE)
     exam.of_fit(run, fit)
     _against(run, fit)
+    _last_fits(scope, run)
     widgets.show_problems(run)
     timeline.draw(fits, evaluations, step)
 
@@ -144,6 +153,23 @@ def _against(run: RunReader, step: int) -> None:
         st.caption(f"No model error: {text.markdown(errors)}.")
     why.section(run, rows)
     empty.left_out(run, "other snapshots")
+
+
+def _last_fits(scope: Scope, run: RunReader) -> None:
+    """The profiles of the last fits of the run and of shown runs of its task, on one axis."""
+    others = [one for one in scope.shown if one.env == run.env and one.run_id != run.run_id]
+    together = [run, *filter(readers.has_profiles, others)][:TOGETHER]
+    if len(together) < 2:
+        return
+    called = told_apart(together)
+    of_runs = [(one, readers.profiles(one).bins) for one in together]
+    last = [(called[one.run_id], one.learner, bins[-1]) for one, bins in of_runs if len(bins)]
+    with st.container(border=True):
+        head = st.container(horizontal=True, vertical_alignment="center")
+        head.markdown("**The last fits of the shown runs**, each of its own buffer")
+        log = widgets.pick_log(head, [bins for *_, bins in last])
+        figure = profile_lines(last, 300, log=log, keep=run.run_id)
+        chart(figure, "last fits", "mean weight, oldest to newest, at the last fit of each run")
 
 
 def _go_to(fits: list[int], point: Point) -> None:

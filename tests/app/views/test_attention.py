@@ -88,6 +88,16 @@ def test_the_numbers_of_a_fit_are_those_of_its_single_weights(store: Path) -> No
             assert float(values[label][at].split()[0]) == pytest.approx(100 * share, abs=0.06)
 
 
+def test_the_last_fits_of_the_shown_runs_share_an_axis(store: Path) -> None:
+    runs = (PENDULUM_TOM, "pendulum-tom-1", "pendulum-mle-0")
+    *_, together = figures(draw("attention", run=PENDULUM_TOM))
+    drawn = {line["name"]: array(line["customdata"]) for line in together["data"]}
+    for name, run_id in zip(("TOM s0", "TOM s1", "MLE s0"), runs, strict=True):
+        assert drawn[name] == pytest.approx(RunReader(store / run_id).profiles().bins[-1])
+    *_, together = figures(draw("attention", run=PENDULUM_TOM, hide=[runs[1]]))
+    assert {line["name"] for line in together["data"]} == {"TOM s0", "MLE s0"}
+
+
 def test_panels_follow_the_timeline_with_every_fit(store: Path) -> None:
     fits = lines(store)
     app = draw("attention", run=PENDULUM_TOM)
@@ -184,7 +194,9 @@ def test_parts_of_the_buffer_without_rows_are_no_weight(own: Path) -> None:
     app = draw("attention", run=PENDULUM_TOM)
     protos = [part.proto.json for part in app.get("bidi_component")]
     assert not any("NaN" in json.dumps(json.loads(given)) for given in protos)
-    assert follows(app)[PROFILE]["traces"][0]["y"][0][3] == 0  # pyright: ignore
+    on_profile = follows(app)[PROFILE]
+    assert on_profile is not None
+    assert on_profile["traces"][0]["y"][0][3] == 0
 
 
 def test_a_run_whose_profiles_are_damaged_is_named(own: Path) -> None:
