@@ -136,7 +136,7 @@ address.write()
 """
 
 
-def goes(app: AppTest, page: str, **query: str) -> tuple[str, str, dict[str, list[str]]]:
+def goes(app: AppTest, page: str, **query: str) -> tuple[object, object, dict[str, list[str]]]:
     """The shared choice, the page's own and the address after a visit to a page's link."""
     app.session_state["page"] = page
     app.query_params.clear()
