@@ -16,7 +16,7 @@ from tom.frames import Run, Weighing
 
 RETURN = "eval/return"
 HEAVIEST = 0.01
-"""the share of rows in the region, as in the default of the page Regions"""
+"""the share of rows in the region, as in the default of Attention"""
 
 
 class Figures(dict[str, go.Figure]):

@@ -19,9 +19,9 @@ def lines(figure) -> list[dict]:
     return json.loads(figure.to_json())["data"]
 
 
-def test_a_runs_figures_are_those_of_weights_and_live(store: Path):
+def test_a_runs_figures_are_those_of_the_pages(store: Path):
     shown = tom.studio.show(tom.load(PENDULUM_TOM, store), height=400)
-    page = figures(draw("weights", run=PENDULUM_TOM))
+    page = figures(draw("attention", run=PENDULUM_TOM))
     np.testing.assert_array_equal(
         array(lines(shown["every fit"])[0]["z"]), array(page[0]["data"][0]["z"])
     )
@@ -32,7 +32,7 @@ def test_a_runs_figures_are_those_of_weights_and_live(store: Path):
     assert array(curve["y"]) == pytest.approx(frame.to_numpy())
 
 
-def test_a_weighings_figures_are_those_of_probe_and_regions(store: Path):
+def test_a_weighings_figures_are_those_of_the_pages(store: Path):
     found = tom.weigh(
         PENDULUM_TOM, "random", learners=["pmac", "mle"], seeds=[0], footprint=50, store=store
     )
