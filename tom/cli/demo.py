@@ -3,6 +3,7 @@
 import argparse
 import signal
 import sys
+from collections.abc import Sequence
 
 from tom import readable
 from tom.cli.parser import add_store, whole
@@ -48,8 +49,8 @@ def _show(args: argparse.Namespace) -> int:
     studio = start(command + ["--no-browser"] * args.no_browser, None, session=False)
     try:
         code = _train(args)
-        print("Look at Compare (both learners' returns), Weights (where TOM looks) and Road")
-        print("and rocks (the heatmap). The studio stays up until Ctrl-C.", flush=True)
+        print("The studio's first page, Answer, says where TOM looks and whether it helps;")
+        print("Attention shows it. The studio stays up until Ctrl-C.", flush=True)
         studio.wait()
         return code
     finally:
@@ -62,7 +63,9 @@ def _train(args: argparse.Namespace) -> int:
     shared = ("--store", str(store.path), "--seed", str(args.seed))
     quiet = ("--no-rerun",) if args.headless else ()
     codes = train_all({name: (*own, *shared, *quiet) for name, own in TRAININGS.items()})
-    _print_table([run for run in store.runs() if run.run_id not in before])
+    made = [run for run in store.runs() if run.run_id not in before]
+    _print_table(made)
+    print(seen(made))
     failed = [name for name, code in codes.items() if code]
     if failed:
         print(f"tom demo: failed: {', '.join(failed)}", file=sys.stderr)
@@ -83,3 +86,28 @@ def _print_table(runs: list[RunReader]) -> None:
         for row in map(summary, sorted(runs, key=lambda run: (run.env, run.learner)))
     ]
     show("What was trained", columns, rows)
+
+
+def seen(runs: Sequence[RunReader]) -> str:
+    """A sentence for each task: what every learner returned at the step that all of them reach."""
+    from tom.analysis.curves import Curve, curve_points  # here: `tom --help` lists this command
+    from tom.analysis.scores import FINAL, common_step, scores_of
+
+    by_task: dict[str, list[Curve]] = {}
+    for run in sorted(runs, key=lambda run: (run.env, run.learner)):
+        step, value = curve_points(run.metrics(), "eval/return")
+        if len(step):
+            drawn = Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value)
+            by_task.setdefault(run.env, []).append(drawn)
+    sentences = []
+    for env, curves in by_task.items():
+        until = common_step(curves)
+        of: dict[str, list[float]] = {}
+        for curve, score in zip(curves, scores_of(curves, FINAL, until), strict=True):
+            of.setdefault(curve.learner, []).append(float(score))
+        means = sorted(((sum(of[name]) / len(of[name]), name) for name in of), reverse=True)
+        words = ", ".join(f"{name} {readable.score(mean)}" for mean, name in means)
+        sentences.append(f"Mean return on {env} at step {until:,.0f}: {words}.")
+    if sentences and len({(run.env, run.learner) for run in runs}) == len(runs):
+        sentences.append("One run of each tells no learner from another.")
+    return " ".join(sentences)
