@@ -27,7 +27,7 @@ LINE = 0.42  # points of a line for a pixel on the screen
 DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-.", "longdash": (0, (8, 3)),
           "longdashdot": (0, (8, 3, 1, 3))}  # fmt: skip
 SYMBOLS = {"circle": "o", "square": "s", "diamond": "D", "triangle-up": "^", "triangle-down": "v",
-           "pentagon": "p", "x": "x"}  # fmt: skip
+           "pentagon": "p", "x": "X"}  # fmt: skip
 STYLE: dict[Any, Any] = {
     "font.size": TEXT, "font.family": "sans-serif", "axes.spines.top": False,
     "axes.spines.right": False, "axes.linewidth": 0.6, "xtick.major.width": 0.6,

@@ -12,11 +12,13 @@ import plotly.graph_objects as go
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.markers import MarkerStyle
 from PIL import Image
 
+from app import theme
 from app.figures.curves import Axes, group_curves, looks_of
 from app.figures.ends import GAP, label_ends, moved_apart
-from app.figures.paper import KINDS, WIDTHS, paper_figure
+from app.figures.paper import KINDS, SYMBOLS, WIDTHS, paper_figure
 from tom.analysis.curves import Curve, Group, aggregate
 
 STEPS = np.arange(0, 50_000, 1000)
@@ -144,6 +146,11 @@ def test_a_paper_s_figure_says_what_the_page_says_in_letters() -> None:
         assert one in words
     for look in looks_of((one.env, one.kind) for one in GROUPS).values():
         assert look.colour in svg.lower()
+
+
+def test_every_mark_of_a_learner_is_seen_without_an_edge() -> None:
+    assert {*theme.SYMBOLS, theme.learner_symbol("no learner")} <= set(SYMBOLS)
+    assert all(MarkerStyle(mark).is_filled() for mark in SYMBOLS.values())
 
 
 def test_a_remark_in_the_corner_is_no_line_s_label() -> None:
