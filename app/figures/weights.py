@@ -169,15 +169,15 @@ def _finish_profile(figure: go.Figure, height: int, keep: str) -> None:
     )
 
 
-def on_log_axis(figure: go.Figure) -> go.Figure:
-    """Put weights on a log axis that ends at FLOOR; smaller weights and zero are drawn there.
+def on_log_axis(figure: go.Figure, top: float = 1.0) -> go.Figure:
+    """Put weights on a log axis that begins at FLOOR; smaller weights and zero are drawn there.
 
-    The hover numbers (`customdata`) are unchanged.
+    It ends above `top` and above every weight. The hover numbers (`customdata`) are unchanged.
     """
     traces: list[Any] = list(figure.data)
     for trace in traces:
         trace.update(y=np.maximum(np.asarray(trace.y, np.float64), FLOOR))
-    top = max((float(np.max(trace.y)) for trace in traces), default=1.0)
+    top = max([top, *(float(np.max(trace.y)) for trace in traces)])
     return figure.update_yaxes(
         type="log",
         rangemode="normal",

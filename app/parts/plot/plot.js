@@ -234,7 +234,7 @@ function crosshair(plot, x) {
     const { xaxis, _size } = other._fullLayout;
     const at = x === null ? -1 : xaxis.d2p(x);
     line.hidden = !(at >= 0 && at <= xaxis._length);
-    line.style.cssText = `height:${_size.h}px;top:${_size.t}px;transform:translateX(${xaxis._offset + at}px)`;
+    stand(line, _size, xaxis._offset + at);
   }
 }
 
@@ -285,6 +285,13 @@ function wire(plot, Plotly) {
   plot.watch.observe(plot);
 }
 
+// Puts an upright line at `x`, in pixels of the chart. Only what has changed is set: a move alone
+// costs no layout.
+function stand(line, { t, h }, x) {
+  const at = { height: `${h}px`, top: `${t}px`, transform: `translateX(${x}px)` };
+  for (const [name, value] of Object.entries(at)) if (line.style[name] !== value) line.style[name] = value;
+}
+
 // Shows the state of the page's timeline: a cursor at its step, and the traces' values at the last
 // of the figure's own steps that is not after it.
 function follow(plot, step) {
@@ -296,14 +303,33 @@ function follow(plot, step) {
     const { xaxis, _size } = plot._fullLayout;
     const x = xaxis.d2p(step);
     mark.hidden = !(x >= 0 && x <= xaxis._length);
-    mark.style.cssText = `height:${_size.h}px;top:${_size.t}px;transform:translateX(${xaxis._offset + x}px)`;
+    stand(mark, _size, xaxis._offset + x);
   }
   if (!traces) return;
   const at = Math.max(steps.filter((own) => own <= step).length - 1, 0);
   if (at === plot.frame) return;
   plot.frame = at;
   for (const { index, y } of traces) plot.data[index].y = y[at];
-  window.Plotly.redraw(plot);
+  if (!traces.every(({ index, y }) => moveBars(plot, index, y[at]))) return window.Plotly.redraw(plot);
+  // What hovering shows comes with a whole drawing, once nothing has moved for a moment.
+  clearTimeout(plot.later);
+  plot.later = setTimeout(() => plot.isConnected && plot.wired && window.Plotly.redraw(plot), 400);
+}
+
+// Gives the bars of a trace other heights, in a hundredth of the time of a whole drawing; false if
+// the trace has no such bars.
+function moveBars(plot, index, y) {
+  const { type, x, width, yaxis: name } = plot._fullData[index];
+  const bars = plot.querySelectorAll(".barlayer .trace")[index]?.querySelectorAll(".point path");
+  if (type !== "bar" || !width || bars?.length !== y.length) return false;
+  const { xaxis } = plot._fullLayout;
+  const yaxis = plot._fullLayout[name.replace("y", "yaxis")];
+  const base = yaxis.type === "log" ? yaxis._length : yaxis.d2p(0);
+  bars.forEach((bar, i) => {
+    const [left, right] = [xaxis.d2p(x[i] - width / 2), xaxis.d2p(x[i] + width / 2)];
+    bar.setAttribute("d", `M${left},${base}V${yaxis.d2p(y[i])}H${right}V${base}Z`);
+  });
+  return true;
 }
 
 function followAll({ detail }) {

@@ -14,7 +14,9 @@ from app.data.called import names, told_apart
 from app.figures.base import steps_in_words
 from app.figures.regions import weights_against
 from app.figures.weights import (
+    FLOOR,
     effective_sample,
+    on_log_axis,
     profile_lines,
     weight_map,
     weight_profile,
@@ -24,6 +26,7 @@ from app.parts import address, empty, readout, timeline, widgets
 from app.parts.plot import Follow, Point, chart
 from app.parts.readout import Number
 from app.parts.scope import Scope
+from app.views.answer.model_error import in_turn
 from app.views.attention import exam, learners, regions, road, why
 from tom import readable
 from tom.envs import ROAD
@@ -109,8 +112,9 @@ def _figures(run: RunReader, profiles: Profiles, chosen: int, *, relative: bool)
     with right, st.container(border=True):
         st.markdown("**The fit at the timeline's step**; dashed: every transition counts the same")
         top = float(np.nanmax(profiles.bins))  # of all fits, so that the axis stands still
-        figure = weight_profile(profiles.bins[chosen], run.learner, 235, top, keep=run.run_id)
-        finite = np.nan_to_num(profiles.bins)  # JSON has no NaN
+        figure = weight_profile(profiles.bins[chosen], run.learner, 235, keep=run.run_id)
+        figure = on_log_axis(figure, top)
+        finite = np.maximum(np.nan_to_num(profiles.bins), FLOOR)  # JSON has no NaN
         bins = [[float(f"{value:.3g}") for value in row] for row in finite]
         follow = Follow(steps=fits, traces={0: bins})
         chart(figure, "profile", "mean weight, oldest to newest transitions", follow=follow)
@@ -158,7 +162,8 @@ def _against(run: RunReader, step: int) -> None:
 def _last_fits(scope: Scope, run: RunReader) -> None:
     """The profiles of the last fits of the run and of shown runs of its task, on one axis."""
     others = [one for one in scope.shown if one.env == run.env and one.run_id != run.run_id]
-    together = [run, *filter(readers.has_profiles, others)][:TOGETHER]
+    together = in_turn(run, [run, *(one for one in others if readers.has_profiles(one))])
+    together = together[:TOGETHER]
     if len(together) < 2:
         return
     called = told_apart(together)

@@ -72,7 +72,7 @@ def _curves(scope: Scope, row) -> None:
         how = measure.choose(recorded)
     alive = any(run.status.alive for run in scope.runs)
     st.fragment(_panels, run_every=REFRESH_S if alive else None)(scope, chosen, how)
-    run = scope.one(lambda run: bool(readers.points(run)), lambda run: 0)
+    run = scope.one(readers.has_profiles, widgets.telling)
     if run is not None and how.axes.x == measure.STEPS:
         fits, evaluations = readers.profiles(run).env_step.tolist(), run.evaluation_steps()
         if stops := sorted({*fits, *evaluations}):
