@@ -109,14 +109,10 @@ def weight_profile(
     bins: NDArray[np.float64],
     learner: str,
     height: int,
-    top: float | None = None,
     *,
     keep: str = "",
 ) -> go.Figure:
-    """The weight of each part of the buffer at one fit, oldest to newest: bins (100,).
-
-    The axis ends above `top`, the largest weight of the fits to be compared.
-    """
+    """The weight of each part of the buffer at one fit, oldest to newest: bins (100,)."""
     figure = go.Figure(
         go.Bar(
             x=bin_centres(len(bins)),
@@ -129,8 +125,6 @@ def weight_profile(
     )
     _finish_profile(figure, height, keep)
     figure.update_layout(showlegend=False, bargap=0)
-    if top is not None and np.isfinite(top):
-        figure.update_yaxes(range=[0, 1.05 * max(top, 1.0)])
     return figure
 
 
