@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import chdir
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pandas as pd
@@ -29,6 +30,8 @@ from streamlit.testing.v1 import AppTest
 from app.data.studies import FOLDER, QUESTIONS, REPORT
 from app.links import Links
 from app.router import VIEWS
+from app.servers.browser import DRAWN, chromium
+from app.servers.launcher import Studio, servers
 from app.servers.pages import warm
 from tom.cli import Parser
 from tom.cli.tables import show
@@ -63,6 +66,23 @@ HARNESS = (
 )
 """The first run of an AppTest searches all installed packages, unlike a running server."""
 TIMEOUT_S = 600
+FITS, FRAMES_A_SECOND = 120, 30
+"""of a run that plays in a browser: its fits, and the target"""
+SETTLE_MS = 5000
+COUNT_FRAMES = """() => new Promise((done) => {
+    const play = document.querySelector(".timeline button");
+    let frames = 0;
+    play.click();
+    const begun = performance.now();
+    const count = () => {
+        frames += 1;
+        const ended = frames > 5 && play.getAttribute("aria-label") === "Play";
+        if (ended) done((1000 * frames) / (performance.now() - begun));
+        else requestAnimationFrame(count);
+    };
+    requestAnimationFrame(count);
+})"""
+"""plays the timeline to its end, and counts the frames that the browser draws meanwhile"""
 
 
 @dataclass(frozen=True)
@@ -109,11 +129,11 @@ def make_studies(folder: Path) -> None:
         (study / REPORT).write_text("<!doctype html><title>report</title>")
 
 
-def _lengthen(run: Path) -> None:
+def _lengthen(run: Path, points: int = POINTS) -> None:
     """Extend the run's metrics and profiles to the number of rows of a long training."""
     old = RunReader(run).metrics().ffill().bfill()
     last = int(old["env_step"].to_numpy().max())
-    step = np.linspace(1, max(last, POINTS), POINTS).astype(int)
+    step = np.linspace(1, max(last, points), points).astype(int)
     names = [name for name in old if name != "env_step"][:METRICS]
     table = pd.DataFrame({name: np.interp(step, old["env_step"], old[name]) for name in names})
     table.insert(0, "env_step", step)
@@ -121,8 +141,27 @@ def _lengthen(run: Path) -> None:
         table.to_json(file, orient="records", lines=True)
     table.to_parquet(run / layout.METRICS_TABLE)
     rows = [json.loads(line) for line in (run / layout.PROFILES).read_text().splitlines()]
-    every = [{**rows[i * len(rows) // POINTS], "env_step": int(at)} for i, at in enumerate(step)]
+    every = [{**rows[i * len(rows) // points], "env_step": int(at)} for i, at in enumerate(step)]
     (run / layout.PROFILES).write_text("".join(json.dumps(row) + "\n" for row in every))
+
+
+def frames(store: Path) -> float:
+    """Frames a second of Attention in a browser while `FITS` fits of a run play.
+
+    Raises UserError if there is no browser, RuntimeError if the studio does not start.
+    """
+    config = resolve("inverted-pendulum", "tom", "smoke", {"steps": 400})
+    train(config, Store(store), "played", rerun=False)
+    _lengthen(store / "played", FITS)
+    with servers(Studio(store=store), Event()) as (links, running), chromium() as browser:
+        if running is None:
+            raise RuntimeError("the studio did not start")
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        page.goto(links.opened("attention"))
+        page.wait_for_selector(".timeline button:not([disabled])")
+        page.wait_for_function(DRAWN)
+        page.wait_for_timeout(SETTLE_MS)
+        return float(page.evaluate(COUNT_FRAMES))
 
 
 def measure(store: Path) -> Iterator[Answer]:
@@ -168,7 +207,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = Parser(prog="tom bench studio")
     parser.add_argument("--runs", type=int, default=RUNS, help=f"runs in the store [{RUNS}]")
     parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--frames", action="store_true", help="frames a second while fits play")
     args = parser.parse_args(argv)
+    if args.frames:
+        with tempfile.TemporaryDirectory() as folder:
+            drawn = frames(Path(folder))
+        print(
+            json.dumps({"frames_per_s": drawn, "target": FRAMES_A_SECOND})
+            if args.json
+            else f"{drawn:.1f} frames a second while {FITS} fits play (target {FRAMES_A_SECOND})"
+        )
+        return 0 if drawn >= FRAMES_A_SECOND else 1
     if args.runs < len(KINDS):
         parser.error(f"--runs {args.runs}: at least {len(KINDS)}, one of each kind")
     logging.disable(logging.WARNING)  # Streamlit warns that there is no server

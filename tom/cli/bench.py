@@ -75,6 +75,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )
     parser.add_argument("--store", type=folder, help="keep the runs here (learn)")
     parser.add_argument("--runs", type=int, help="runs in the store [200] (studio)")
+    parser.add_argument(
+        "--frames", action="store_true", help="frames a second while fits play, instead (studio)"
+    )
     parser.set_defaults(run=run)
 
 
@@ -83,7 +86,8 @@ def run(args: argparse.Namespace) -> int:
         raise UserError("--into is of the tables of `tom bench parts`: leave it out")
     if args.what == "studio":
         runs = [] if args.runs is None else ["--runs", str(args.runs)]
-        hand_over("app.servers.bench", [*runs, *(["--json"] * args.json)])
+        more = [*(["--json"] * args.json), *(["--frames"] * args.frames)]
+        hand_over("app.servers.bench", [*runs, *more])
     content, tables = MEASUREMENTS[args.what](args)
     if args.json:
         print(json.dumps(content))
