@@ -251,3 +251,10 @@ def test_robots_stand_as_they_were_recorded(store: Path, rows: Rows) -> None:
     assert np.linalg.norm(wxyz, axis=-1) == pytest.approx(1)
     kept = {"qpos": np.asarray(recorded.obs)[:, :2] + 5}
     assert states.poses(task("hopper"), recorded, kept, windows(ended, [7]))[0, WINDOW, 0] == 0
+
+
+def test_at_an_evaluation_the_buffer_is_that_of_the_last_fit_before(store: Path) -> None:
+    last = RunReader(store / PENDULUM_TOM).evaluation_steps()[-1]
+    assert last > FIT
+    app = in_buffer(run=PENDULUM_TOM, step=str(last))
+    assert app.dataframe[0].value.set_index("").loc["transitions", "buffer"] == str(FIT)
