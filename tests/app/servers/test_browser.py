@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 from studio_browser import studio_and_browser
-from studio_runs import PENDULUM_TOM, ROAD_MLE, RUNS
+from studio_runs import PENDULUM_TOM, ROAD_TOM, RUNS
 
 from app.links import Links
 from tom.record.reader import RunReader
@@ -122,30 +122,55 @@ def shown_steps(chart: "Locator") -> list[float]:
     return chart.evaluate("plot => plot.layout.xaxis.range.slice()")
 
 
+def drawn(page: "Page") -> "Locator":
+    """The page's first chart, once it is there."""
+    found = page.locator(".js-plotly-plot").first
+    found.locator(".nsewdrag").first.wait_for()
+    return found
+
+
+def lines(page: "Page") -> set[str]:
+    """The groups that have a line in the page's first chart, by the first word of their title."""
+    names = "plot => (plot._fullData ?? []).filter(t => t.visible === true).map(t => t.name ?? '')"
+    words = {name.partition(" ")[0] for name in drawn(page).evaluate(names)}
+    return {word for word in words if word.isupper()}
+
+
+def asked(page: "Page") -> dict[str, list[str]]:
+    return parse_qs(urlsplit(page.url).query)
+
+
+def settle(page: "Page", words: str) -> None:
+    page.wait_for_url(lambda address: words in address)
+    page.wait_for_timeout(1500)  # no drawing is under way, so that the next one is another entry
+
+
 @pytest.mark.quick
 def test_a_visit_to_every_page(visit: Visit, own: Path) -> None:
     page = visit.page
-    page.goto(visit.links.opened(f"?recording={PENDULUM_TOM}&runs={PENDULUM_TOM}"))
+    page.goto(visit.links.opened(f"replays?run={PENDULUM_TOM}&part=Rerun"))
     page.wait_for_url(lambda address: "key" not in address)
     wait_until_drawn(page.locator("iframe").last, 0.03)  # Rerun: the robot, the bars, the curves
 
-    visit.open("Compare", "compare")
+    visit.open("Answer", "")
+    page.get_by_text("Does it help?").wait_for()
+    visit.open("Curves", "curves")
     page.locator(".js-plotly-plot").nth(1).wait_for()
     take_the_table(page)
-    visit.open("Weights", "weights")
+    visit.open("Attention", "attention")
     click_the_first_fit(page, own)
-    visit.open("Regions", "regions")
-    keep_the_chosen_run(visit)
+    page.get_by_role("radio", name="In the buffer").click()
     lasso_a_region(page)
-    visit.open("Probe", "probe")
-    page.get_by_label("Buffer of run or data", exact=True).wait_for()
+    page.get_by_role("radio", name="Every learner on one buffer").click()
+    page.get_by_role("button", name="Weigh", exact=True).wait_for()
     visit.open("Replays", "replays")
     play_an_episode(page)
     see_it_in_rerun(page)
-    visit.open("Studies", "studies")
+    visit.open("Findings", "findings")
     page.get_by_text("tom reproduce").first.wait_for()
-    visit.open("Road and rocks", "road")
-    wait_until_drawn(page.locator("iframe"), 0.03)  # viser: columns of weight
+    page.goto(f"{visit.links.address}/road?run={ROAD_TOM}")  # as older studios had it
+    wait_until_drawn(page.locator("iframe").first, 0.03)  # viser: columns of weight
+    keep_the_chosen_run(visit)
     follow_a_short_link(visit)
     assert visit.asked <= LOCAL
 
@@ -154,31 +179,25 @@ def take_the_table(page: "Page") -> None:
     with page.expect_download() as download:
         page.get_by_role("button", name="Single runs").click()
     table = pd.read_csv(download.value.path())
-    assert set(table["run"]) == {run_id for run_id, *_ in RUNS}
+    assert set(table["run"]) == {run_id for run_id, env, *_ in RUNS if env == "inverted-pendulum"}
 
 
 def click_the_first_fit(page: "Page", store: Path) -> None:
-    page.get_by_label("Run", exact=True).wait_for()
     chart = page.locator(".js-plotly-plot").first
     chart.locator(".hm").wait_for()
     frame = chart.locator(".nsewdrag").first.bounding_box()
     assert frame is not None
     page.mouse.click(frame["x"] + 0.02 * frame["width"], frame["y"] + 0.5 * frame["height"])
-    page.wait_for_url("**/weights?*step=*")
-    chosen = int(parse_qs(urlsplit(page.url).query)["step"][0])
+    page.wait_for_url("**/attention?*step=*")
+    chosen = int(asked(page)["step"][0])
     assert chosen == RunReader(store / PENDULUM_TOM).profiles().env_step[0]
-    page.get_by_text(f"The fit at step {chosen:,}").wait_for()
+    page.locator(".readout dd").first.get_by_text(f"{chosen:,}", exact=True).wait_for()
 
 
 def keep_the_chosen_run(visit: Visit) -> None:
     """Another page shows the run that was chosen on this one."""
-    page = visit.page
-    page.goto(f"{visit.links.address}/weights?run={ROAD_MLE}")
-    page.locator(".js-plotly-plot").first.wait_for()
     visit.open("Replays", "replays")
-    page.wait_for_url(f"**/replays?*run={ROAD_MLE}*")
-    page.goto(f"{visit.links.address}/regions?run={PENDULUM_TOM}")
-    page.locator(".js-plotly-plot").first.wait_for()
+    visit.page.wait_for_url(f"**/replays?*run={ROAD_TOM}*")
 
 
 def lasso_a_region(page: "Page") -> None:
@@ -195,7 +214,7 @@ def lasso_a_region(page: "Page") -> None:
     for place in places[1:]:
         page.mouse.move(*place, steps=4)
     page.mouse.up()
-    page.wait_for_url("**/regions?*outline=*")
+    page.wait_for_url("**/attention?*outline=*")
     deadline = time.monotonic() + DRAWN_S
     while region_size(page) == heaviest:
         assert time.monotonic() < deadline, "the lasso chose nothing"
@@ -218,7 +237,7 @@ def play_an_episode(page: "Page") -> None:
     chart = page.locator(".js-plotly-plot").nth(1)
     chart.locator(".nsewdrag").first.wait_for()
     before = chart.evaluate(cursor)
-    page.get_by_role("button", name="Play", exact=False).last.click()
+    page.locator(".st-key-replay-play button").click()
     deadline = time.monotonic() + DRAWN_S
     while chart.evaluate(cursor) == before:
         assert time.monotonic() < deadline, f"the replay stands at {before}"
@@ -228,7 +247,7 @@ def play_an_episode(page: "Page") -> None:
 def see_it_in_rerun(page: "Page") -> None:
     """The same episode, made into a recording when it is asked for."""
     with page.expect_response("**/episode-*.rrd") as answer:
-        page.get_by_role("radio", name="Rerun").click()
+        page.get_by_role("radio", name="Rerun").last.click()
     assert answer.value.ok
     # Only the scene: the viewer's buttons and its curve are coloured without any robot.
     wait_until_drawn(page.locator("iframe"), 0.002, top=0.65)
@@ -244,8 +263,7 @@ def follow_a_short_link(visit: Visit) -> None:
     link = page.get_by_text("/v/").first
     link.wait_for()
     page.goto(link.inner_text())
-    page.locator(".js-plotly-plot .nsewdrag").first.wait_for()
-    assert page.locator(".js-plotly-plot").count() == 1
-    assert "env=inverted-pendulum" in page.url
-    page.get_by_role("button", name="Measure").click()
+    drawn(page)
+    assert asked(page) == {"task": ["inverted-pendulum"], "logy": ["true"]}
+    page.get_by_role("button", name="Lines", exact=True).click()
     assert page.get_by_role("switch", name="log y").is_checked()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from studio_runs import PENDULUM_TOM
-from test_browser import Visit, own, visit  # noqa: F401 (two are fixtures)
+from test_browser import Visit, drawn, own, visit  # noqa: F401 (two are fixtures)
 from test_browser_visitor import choose, until
 
 if TYPE_CHECKING:
@@ -19,12 +19,8 @@ pytestmark = [
 ]
 HOSTILE = "8.5, #a [b] > 'c' :d"
 REACT = "window.Plotly.react"
-
-
-def drawn(page: "Page") -> "Locator":
-    chart = page.locator(".js-plotly-plot").first
-    chart.locator(".nsewdrag").first.wait_for()
-    return chart
+BEGINS = {"SVG": b"<", "PDF": b"%PDF", "PNG": b"\x89PNG", "CSV": b"line,"}
+"""the files of a figure, and how each begins"""
 
 
 def lines(chart: "Locator") -> int:
@@ -39,35 +35,45 @@ def test_a_chart_follows_its_page_and_is_saved_whatever_its_groups_are_called(
     path = own / PENDULUM_TOM / "config.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"preset": HOSTILE}))
     page = visit.page
-    page.goto(visit.links.opened("compare?env=inverted-pendulum&singles=false"))
+    page.goto(visit.links.opened("curves?task=inverted-pendulum"))
     chart = drawn(page)
     assert lines(chart) == 3
-    choose(page, "Group by", "by learner")
-    chart.get_by_text("TOM (n = 2)").wait_for()
+    group_by(page, "by learner")
+    chart.get_by_text("TOM (2)").wait_for()
     until(page, lambda: lines(chart) == 3, "not two lines and a band")
-    choose(page, "Group by", "by all but the seed")
-    chart.get_by_text("TOM (n = 2)").wait_for(state="detached")
+    group_by(page, "by all but the seed")
+    chart.get_by_text("TOM (2)").wait_for(state="detached")
     until(page, lambda: lines(chart) == 3, "old lines have stayed")
-    for format in ("png", "svg"):
-        chart.hover()
-        with page.expect_download() as saved:
-            chart.locator(f".modebar-btn[data-title='save as {format.upper()}']").click()
-        assert saved.value.suggested_filename.endswith(format)
+    chart.hover()
+    chart.locator(".modebar-btn[data-title^='Save']").click()
+    for width in ("as shown", "one column"):
+        page.locator("dialog[open]").get_by_text(width).click()
+        for kind, begins in BEGINS.items():
+            with page.expect_download() as saved:
+                page.locator("dialog[open]").get_by_role("button", name=kind, exact=True).click()
+            assert saved.value.suggested_filename.endswith(f".{kind.lower()}")
+            assert saved.value.path().read_bytes().startswith(begins)
+
+
+def group_by(page: "Page", what: str) -> None:
+    page.get_by_role("button", name="Filter and group").click()
+    choose(page, "Group by", what)
+    page.keyboard.press("Escape")
 
 
 def test_a_chart_that_cannot_be_drawn_says_so_until_it_can(visit: Visit) -> None:  # noqa: F811
     page = visit.page
-    page.goto(visit.links.opened("compare?env=inverted-pendulum"))
+    page.goto(visit.links.opened("curves?task=inverted-pendulum"))
     chart = drawn(page)
     page.evaluate(f"""() => {{
         window.whole = {REACT};
         {REACT} = () => Promise.reject(new Error("no such shape"));
         console.error = () => {{}};  // every other error in a console fails the tests
     }}""")
-    choose(page, "Group by", "by learner")
-    page.get_by_role("alert").get_by_text("no such shape").wait_for()
+    group_by(page, "by learner")
+    page.get_by_role("alert").get_by_text("no such shape").first.wait_for()
     assert lines(chart) == 0
     page.evaluate(f"() => {{ {REACT} = window.whole; }}")
-    choose(page, "Group by", "by all but the seed")
+    group_by(page, "by all but the seed")
     drawn(page)
-    page.get_by_role("alert").wait_for(state="hidden")
+    page.get_by_role("alert").first.wait_for(state="hidden")

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from studio_browser import studio_and_browser
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
-from test_browser import DRAWN_S, Visit, wait_until_drawn
+from test_browser import DRAWN_S, Visit, drawn, wait_until_drawn
 
 from app.data import trainings
 from app.links import Links
@@ -100,7 +100,6 @@ def test_starts_a_training_watches_it_and_stops_it(visitor: Visit, own_store: Pa
     before = {run.run_id for run in Store(own_store).runs()}
     page = visitor.page
     page.goto(visitor.links.opened())
-    page.get_by_text("Nothing is training now").wait_for()
     page.get_by_text("Start a training").click()
     choose(page, "Environment", "inverted-pendulum")
     choose(page, "Preset", "smoke")
@@ -110,27 +109,17 @@ def test_starts_a_training_watches_it_and_stops_it(visitor: Visit, own_store: Pa
     steps.press("Enter")
     page.locator("code", has_text="--steps=50000").wait_for()
     page.get_by_role("button", name="Start", exact=True).click()
-    page.get_by_text("1 training now").wait_for()
+    stop = page.get_by_role("button", name="Stop", exact=True)
+    stop.wait_for()
     [run] = [run for run in Store(own_store).runs() if run.run_id not in before]
     until(page, lambda: run.evaluation_steps(), "the training was never evaluated")
-    page.get_by_role("button", name="Stop", exact=True).click()
+    stop.click()
     page.locator("code", has_text=f"tom train --resume {run.run_id}").wait_for()
     page.get_by_role("button", name="Stop this training").click()
-    page.get_by_text("Nothing is training now").wait_for()
+    stop.wait_for(state="detached")
     assert run.status.shown == "stopped"
     assert 0 < run.status.env_step < 50_000
     assert (run.path / "checkpoint").is_dir()
-
-
-def test_plays_through_the_fits_of_a_run(visitor: Visit, own_store: Path) -> None:
-    page = visitor.page
-    page.goto(visitor.links.opened(f"weights?run={PENDULUM_TOM}"))
-    steps = Store(own_store).run(PENDULUM_TOM).profiles().env_step
-    page.get_by_text(f"The fit at step {steps[-1]:,}").wait_for()
-    page.get_by_role("button", name="Play", exact=False).first.click()
-    page.get_by_text(f"The fit at step {steps[0]:,}").wait_for()
-    page.get_by_text(f"The fit at step {steps[-1]:,}").wait_for()
-    page.get_by_role("button", name="Play", exact=False).first.wait_for()  # it has stopped
 
 
 def test_weighs_a_buffer_and_reads_the_profiles(visitor: Visit) -> None:
@@ -146,23 +135,19 @@ def test_weighs_a_buffer_and_reads_the_profiles(visitor: Visit) -> None:
 
 def test_sees_the_replay_of_a_point_of_a_curve(visitor: Visit) -> None:
     page = visitor.page
-    page.goto(visitor.links.opened("compare?env=inverted-pendulum&singles=false"))
-    chart = page.locator(".js-plotly-plot").first
-    chart.locator(".nsewdrag").first.wait_for()
+    page.goto(visitor.links.opened("curves?task=inverted-pendulum"))
+    chart = drawn(page)
     place = """plot => {
         const trace = plot.calcdata.findLast(points => points[0].trace.mode?.includes('lines')
-            && points.length > 1 && points.at(-1).x);
+            && points[0].trace.name?.startsWith('TOM') && points.length > 1 && points.at(-1).x);
         const {xaxis, yaxis} = plot._fullLayout, point = trace.at(-1);
         return [(xaxis.l2p(point.x)) / xaxis._length, yaxis.l2p(point.y) / yaxis._length];
     }"""
     click_in(chart, *chart.evaluate(place))
-    link = page.get_by_role("link", name="Replay of")
-    link.wait_for()
+    page.wait_for_url("**/curves?*run=pendulum-tom-*")
+    visitor.open("Replays", "replays")
+    page.wait_for_url("**/replays?*run=pendulum-tom-*")
     wait_until_drawn(page.locator("iframe").first, 0.001)
-    with page.context.expect_page() as tab:
-        link.click()
-    tab.value.get_by_text("Reward of each step").wait_for()
-    tab.value.close()
 
 
 def test_sets_two_roads_side_by_side(visitor: Visit) -> None:
@@ -170,7 +155,7 @@ def test_sets_two_roads_side_by_side(visitor: Visit) -> None:
     page.goto(visitor.links.opened(f"road?run={ROAD_TOM}"))
     page.get_by_label("Side by side with").first.wait_for()
     choose(page, "Side by side with", "Road and rocks · MLE · seed 0")
-    page.wait_for_url(f"**/road?*beside={ROAD_MLE}*")
+    page.wait_for_url(f"**/attention?*beside={ROAD_MLE}*")
     maps = page.locator(".js-plotly-plot:has(.heatmaplayer)")
     maps.nth(1).wait_for()
     scale = """plot => {
@@ -185,7 +170,7 @@ def test_sets_two_roads_side_by_side(visitor: Visit) -> None:
 
 def test_labels_a_run_and_moves_it_to_the_trash_and_back(visitor: Visit, own_store: Path) -> None:
     page, store = visitor.page, Store(own_store)
-    page.goto(visitor.links.opened("compare?show=Runs"))
+    page.goto(visitor.links.opened("curves?part=Runs&task=inverted-pendulum"))
     choose(page, "Runs to label or to move to the trash", "pendulum-tom-1")
     page.get_by_label("Name", exact=True).fill("the steady one")
     page.get_by_role("button", name="Save").click()

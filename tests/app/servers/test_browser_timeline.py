@@ -1,0 +1,96 @@
+"""The timeline and the eyes in a real browser: what moves before the server has answered."""
+
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from studio_runs import PENDULUM_TOM
+from test_browser import Visit, asked, lines, own, settle, visit  # noqa: F401 (two are fixtures)
+from test_browser_visitor import until
+
+from tom.record.reader import RunReader, at_or_before
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
+]
+WATCH = """() => {
+  window.seen = [];
+  window.addEventListener("tom:step", ({ detail }) => {
+    const [profile] = [...document.querySelectorAll(".plot")].filter((p) => p.follows?.traces);
+    seen.push({
+      step: detail, fit: document.querySelector(".readout dd").textContent,
+      profile: [...profile.data[0].y], address: location.search,
+    });
+  });
+}"""
+"""notes what stands on the page at every step of the timeline, in the same turn of the browser"""
+
+
+def seen(page: "Page") -> list[dict]:
+    return page.evaluate("window.seen")
+
+
+def moved(page: "Page", key: str) -> dict:
+    """What the page shows as soon as a key has moved the timeline."""
+    before = len(seen(page))
+    page.keyboard.press(key)
+    until(page, lambda: len(seen(page)) > before, f"{key} moves nothing")
+    return seen(page)[before]
+
+
+@pytest.mark.quick
+def test_the_timeline_moves_numbers_and_profile_before_the_server_hears_of_it(
+    visit: Visit,  # noqa: F811
+    own: Path,  # noqa: F811
+) -> None:
+    run = RunReader(own / PENDULUM_TOM)
+    profiles = run.profiles()
+    fits = profiles.env_step.tolist()
+    stops = sorted({*fits, *run.evaluation_steps()})
+    page = visit.page
+    page.goto(visit.links.opened(f"attention?run={PENDULUM_TOM}"))
+    for i in range(3):
+        page.locator(".js-plotly-plot").nth(i).locator(".nsewdrag").first.wait_for()
+    page.evaluate(WATCH)
+    for at in range(len(stops) - 2, -1, -1):
+        shown = moved(page, "ArrowLeft")
+        fit = at_or_before(fits, stops[at])
+        assert (shown["step"], shown["fit"]) == (stops[at], f"{fit:,}")
+        expected = profiles.bins[fits.index(fit)]
+        assert np.array(shown["profile"]) == pytest.approx(expected, rel=6e-3)
+        if at == len(stops) - 2:
+            assert "step" not in shown["address"]
+    settle(page, f"step={stops[0]}")
+    assert page.locator(".readout dd").first.inner_text() == f"{fits[0]:,}"
+    assert moved(page, "ArrowRight")["step"] == stops[1]
+    settle(page, f"step={stops[1]}" if len(stops) > 2 else f"run={PENDULUM_TOM}")
+    page.go_back()
+    page.wait_for_url(lambda address: f"step={stops[0]}" in address)
+    until(page, lambda: seen(page)[-1]["step"] == stops[0], "Back leaves the timeline")
+    before = len(seen(page))
+    page.get_by_role("button", name="Play", exact=True).click()
+    page.wait_for_url(lambda address: "step" not in address)  # the end is where it stands usually
+    assert [one["step"] for one in seen(page)[before:]][: len(stops)] == stops
+    assert page.locator(".timeline output").inner_text() == f"step {stops[-1]:,}"
+    page.get_by_role("button", name="Play", exact=True).wait_for()  # and no longer Pause
+
+
+@pytest.mark.quick
+def test_an_eye_shut_by_keyboard_takes_its_line_away_and_back_brings_it(visit: Visit) -> None:  # noqa: F811
+    page = visit.page
+    page.goto(visit.links.opened("curves?task=inverted-pendulum"))
+    until(page, lambda: {"MLE", "TOM"} <= lines(page), "not two lines")
+    page.get_by_role("button", name="Hide MLE", exact=True).focus()
+    page.keyboard.press("Enter")
+    until(page, lambda: "MLE" not in lines(page), "the line of MLE has stayed")
+    settle(page, "hide=MLE")
+    assert page.evaluate("document.activeElement.ariaLabel") == "Show MLE"
+    page.go_back()
+    until(page, lambda: {"MLE", "TOM"} <= lines(page), "the line of MLE is not back")
+    assert "hide" not in asked(page)
