@@ -40,7 +40,7 @@ NO_SAC = (
 
 def draw(scope: Scope) -> None:
     """The distribution of one score per run in one environment."""
-    row = st.columns([3, 4, 3, 3], vertical_alignment="bottom")
+    row = st.columns([4, 3, 3, 3], vertical_alignment="bottom")
     runs, looks = scope.shown, scope.looks
     env, name, score = _pick(row, runs)
     here = [run for run in runs if run.env == env and run.learner != SAC_ALONE]
@@ -61,7 +61,7 @@ def draw(scope: Scope) -> None:
     scores = [scores_of(group.curves, score, until, since) for group in grouped]
     everything = np.concatenate(scores)
     level = address.number_input(
-        row[3].number_input, "Steps to reach", "reach", default_level(everything),
+        row[2].number_input, "Steps to reach", "reach", default_level(everything),
         (env, name, score), step=None, format="%.6g",
         help="sample efficiency: the first recorded step at which a run is at this value",
     )  # fmt: skip
@@ -108,12 +108,12 @@ def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunReader]) -> tuple[str
     envs = sorted({run.env for run in runs})
     env = envs[0]
     if len(envs) > 1:
-        env = address.choose_one(row[0].selectbox, "Task compared", envs, "env", env)
+        env = address.choose_one(row[3].selectbox, "Task compared", envs, "env", env)
     metric = address.choose_one(
-        row[1].segmented_control, "Of", list(measure.METRICS), "of", measure.RETURN, required=True
+        row[0].segmented_control, "Of", list(measure.METRICS), "of", measure.RETURN, required=True
     )
     score = address.choose_one(
-        row[2].selectbox, "Score of a run", SCORES, "score", SCORES[0],
+        row[1].selectbox, "Score of a run", SCORES, "score", SCORES[0],
         help="all of them up to the step that every run reaches, so that a longer run has no "
         "advantage; mean height: area under the curve over its length, from the first step that "
         "every run has",
