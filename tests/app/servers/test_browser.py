@@ -129,11 +129,15 @@ def drawn(page: "Page") -> "Locator":
     return found
 
 
+def named(page: "Page") -> list[str]:
+    """The names of what the page's first chart draws."""
+    names = "plot => (plot._fullData ?? []).filter(t => t.visible === true).map(t => t.name ?? '')"
+    return drawn(page).evaluate(names)
+
+
 def lines(page: "Page") -> set[str]:
     """The groups that have a line in the page's first chart, by the first word of their title."""
-    names = "plot => (plot._fullData ?? []).filter(t => t.visible === true).map(t => t.name ?? '')"
-    words = {name.partition(" ")[0] for name in drawn(page).evaluate(names)}
-    return {word for word in words if word.isupper()}
+    return {word for name in named(page) if (word := name.partition(" ")[0]).isupper()}
 
 
 def asked(page: "Page") -> dict[str, list[str]]:
