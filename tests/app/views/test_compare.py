@@ -1,9 +1,7 @@
 """The Compare page on real recorded runs: its numbers are the runs' numbers."""
 
 import json
-import queue
 import shutil
-import threading
 import time
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as hypothesis
 from scipy.stats import mannwhitneyu
 from streamlit.testing.v1 import AppTest
-from studio_pages import answers, array, captions, draw, figures, recorded, set_links, trace
+from studio_pages import array, captions, draw, figures, recorded, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM, altered, info, set_status
 
 from app.data.tables import default_level
@@ -23,7 +21,6 @@ from app.figures.statistics import Profile
 from app.links import Links
 from app.parts import replay_link, shortlinks
 from app.parts.plot import View
-from app.scenes.control import ReplayChoice, Selection, listen
 from app.servers.pages import routes
 from app.theme import learner_colour
 from app.views.compare import numbers, zoom
@@ -320,28 +317,6 @@ def test_side_by_side_has_linked_axes(store: Path) -> None:
     layout = figure["layout"]
     assert {layout[axis].get("matches") for axis in ("xaxis2", "xaxis3", "xaxis4")} == {"x"}
     assert (layout["yaxis2"]["matches"], layout["yaxis4"]["matches"]) == ("y", "y3")
-
-
-def test_play_all_starts_every_replay_of_the_page(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    told: queue.Queue[tuple[str, Selection]] = queue.Queue()
-    control = tmp_path / "control"
-    listening = (str(control), lambda *words: told.put(words))
-    threading.Thread(target=listen, args=listening, daemon=True).start()
-    links = Links(store=str(store), viser_port=9, control=str(control))
-    set_links(links, monkeypatch)
-    while not answers(str(control)):
-        time.sleep(0.01)
-    app = draw("compare", show="Side by side", env=PENDULUM)
-    next(button for button in app.button if button.label == "Play all").click().run()
-    before, after = [dict(told.get(timeout=30) for _ in range(2)) for _ in range(2)]
-    assert before.keys() == after.keys()
-    for selections, played in ((before, 0), (after, 1)):
-        for selection in selections.values():
-            assert selection.compact
-            assert isinstance(selection.choice, ReplayChoice)
-            assert (selection.choice.step, selection.choice.asked) == (400, played)
 
 
 def test_settings_show_only_what_differs() -> None:
