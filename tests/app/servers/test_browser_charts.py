@@ -10,6 +10,8 @@ from studio_runs import PENDULUM_TOM
 from test_browser import Visit, drawn, named, own, visit  # noqa: F401 (two are fixtures)
 from test_browser_visitor import choose, until
 
+from tom.analysis.settings import USUAL
+
 if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page
 
@@ -38,10 +40,10 @@ def test_a_chart_follows_its_page_and_is_saved_whatever_its_groups_are_called(
     page.goto(visit.links.opened("curves?task=inverted-pendulum"))
     chart = drawn(page)
     assert lines(chart) == 3
-    group_by(page, "by learner")
+    group_by(page, "learner")
     until(page, lambda: "TOM (n = 2)" in named(page), "not grouped")
     until(page, lambda: lines(chart) == 3, "not two lines and a band")
-    group_by(page, "by all but the seed")
+    group_by(page, USUAL)
     until(page, lambda: "TOM (n = 2)" not in named(page), "still grouped")
     until(page, lambda: lines(chart) == 3, "old lines have stayed")
     chart.hover()
@@ -70,10 +72,10 @@ def test_a_chart_that_cannot_be_drawn_says_so_until_it_can(visit: Visit) -> None
         {REACT} = () => Promise.reject(new Error("no such shape"));
         console.error = () => {{}};  // every other error in a console fails the tests
     }}""")
-    group_by(page, "by learner")
+    group_by(page, "learner")
     page.get_by_role("alert").get_by_text("no such shape").first.wait_for()
     assert lines(chart) == 0
     page.evaluate(f"() => {{ {REACT} = window.whole; }}")
-    group_by(page, "by all but the seed")
+    group_by(page, USUAL)
     drawn(page)
     page.get_by_role("alert").first.wait_for(state="hidden")

@@ -171,7 +171,7 @@ def test_sets_two_roads_side_by_side(visitor: Visit) -> None:
 def test_labels_a_run_and_moves_it_to_the_trash_and_back(visitor: Visit, own_store: Path) -> None:
     page, store = visitor.page, Store(own_store)
     page.goto(visitor.links.opened("curves?part=Runs&task=inverted-pendulum"))
-    choose(page, "Runs to label or to move to the trash", "pendulum-tom-1")
+    choose(page, "Runs to label or to move to the trash", "TOM s1")
     page.get_by_label("Name", exact=True).fill("the steady one")
     page.get_by_role("button", name="Save").click()
     until(page, lambda: store.run("pendulum-tom-1").labels.name, "no name was kept")
