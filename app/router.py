@@ -15,7 +15,7 @@ from streamlit.navigation.page import StreamlitPage
 
 from app import session
 from app.data import readers
-from app.parts import address, scope
+from app.parts import address
 from app.theme import LEARNER_COLOURS, NEUTRAL, rgb
 from tom.learners import SUBJECT
 from tom.plugins import PAGES
@@ -52,6 +52,8 @@ class View:
             # libraries' 400 000 objects, which last as long as the process, would take 0.3 s of
             # that each time.
             gc.freeze()
+        from app.parts import scope  # here: it imports the simulator
+
         sys.modules[module].page(scope.draw())
 
 
@@ -101,7 +103,8 @@ def run() -> None:
     st.session_state["pages"] = {page.url_path: page for page in pages}
     address.visit(chosen.url_path)
     draw(chosen.run)
-    st.set_page_config(page_title=f"{chosen.title} - {scope.task_shown()}TOM Studio")
+    task = st.session_state.get("task shown", "")
+    st.set_page_config(page_title=" - ".join(filter(None, (chosen.title, task, "TOM Studio"))))
     address.write()
     session.drawn()
 

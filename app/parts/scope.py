@@ -164,6 +164,7 @@ def _of_task(everything: Sequence[RunReader]) -> list[RunReader]:
         st.selectbox, "Task", options, "task", first,
         lambda name: name if name == EVERY_TASK else task(name), label_visibility="collapsed",
     )  # fmt: skip
+    st.session_state["task shown"] = "" if env == EVERY_TASK else task(env)  # a window's title
     return [run for run in everything if env in (EVERY_TASK, run.env)]
 
 
@@ -185,12 +186,6 @@ def _absent(everything: Sequence[RunReader]) -> None:
         st.warning(f"Run {text.markdown(asked)} is in the trash: Curves, Runs brings it back.")
     else:
         st.warning(f"There is no run {text.markdown(asked)} in this store.")
-
-
-def task_shown() -> str:
-    """The chosen task in a window's title; empty if none is chosen."""
-    env = st.session_state.get("task")
-    return f"{task(env)} - " if env and env != EVERY_TASK else ""
 
 
 def _filtered(runs: Sequence[RunReader]) -> tuple[list[RunReader], str]:

@@ -40,10 +40,10 @@ run = {run.run_id: run for run in readers.listing("runs").runs}["other"]
 curve = widgets.curve(run, "surprise/error")
 drawn = CHARTS["surprise/error"]([curve], 300).data[0]
 assert list(drawn.y) == list(curve.value) and curve.value[-1] > 0
-live = AppTest.from_string("from app.views import live\\nlive.page()", default_timeout=60)
-live.query_params["runs"], live.query_params["curves"] = "other", "surprise/error"
-live.run()
-assert not live.exception, live.exception[0].message
+curves = AppTest.from_string("from app.router import VIEWS\\nVIEWS[1].page()", default_timeout=60)
+curves.query_params["run"], curves.query_params["panel"] = "other", "surprise/error"
+curves.run()
+assert not curves.exception, curves.exception[0].message
 from app.parts.form import sections
 shown = {name: sections("swimmer", name, "paper") for name in ("surprise", "reward", "tom")}
 assert [name for name, groups in shown.items() if "surprise" in groups] == ["surprise"]
@@ -64,8 +64,8 @@ from app.links import Links
 os.environ |= Links(store="runs").environment()
 from app.theme import NEUTRAL, learner_colour, learner_label
 assert (learner_colour("surprise"), learner_label("surprise")) == (NEUTRAL, "surprise")
-for name in ("live", "weights", "regions", "replays", "compare", "probe"):
-    script = f"from app.views import {name}\\n{name}.page()"
+for name in range(5):
+    script = f"from app.router import VIEWS\\nVIEWS[{name}].page()"
     app = AppTest.from_string(script, default_timeout=60)
     app.query_params["run"] = "other"
     app.run()

@@ -205,7 +205,8 @@ def keep_the_chosen_run(visit: Visit) -> None:
 
 
 def lasso_a_region(page: "Page") -> None:
-    chart = page.locator(".js-plotly-plot").first
+    # By its name: the charts of the part before are still there for a moment.
+    chart = page.locator('.js-plotly-plot[aria-label^="the buffer"]')
     chart.locator(".nsewdrag").first.wait_for()
     frame = chart.locator(".nsewdrag").first.bounding_box()
     assert frame is not None
