@@ -37,6 +37,12 @@ def lines(path: Path, name: str) -> list[dict]:
     return [json.loads(line) for line in (path / name).read_text().splitlines()]
 
 
+def at(step: float, curve: list[tuple[int, float]]) -> float:
+    """The value of a curve at a step."""
+    steps, values = np.array(curve).T
+    return float(np.interp(step, steps, values))
+
+
 @pytest.fixture
 def sentences(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     set_links(Links(store=str(RUNS), key="key"), monkeypatch)
@@ -89,7 +95,7 @@ def test_returns_and_wins_are_those_of_all_pairs_and_p_of_all_arrangements(group
         ]  # fmt: skip
         ends.append(curves)
     until = min(curve[-1][0] for curves in ends for curve in curves)
-    ours, theirs = ([np.interp(until, *zip(*c, strict=True)) for c in curves] for curves in ends)
+    ours, theirs = ([at(until, c) for c in curves] for curves in ends)
 
     def wins(first: list[float], second: list[float]) -> float:
         return float(np.mean([(a > b) + 0.5 * (a == b) for a in first for b in second]))

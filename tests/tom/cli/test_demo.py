@@ -17,6 +17,12 @@ NAMES = [
 ]
 
 
+def at(step: float, curve: list[tuple[int, float]]) -> float:
+    """The value of a curve at a step."""
+    steps, values = np.array(curve).T
+    return float(np.interp(step, steps, values))
+
+
 def test_it_says_each_learners_mean_return_at_the_step_that_all_reach(tmp_path: Path):
     curves = {}
     for name in NAMES:
@@ -24,7 +30,7 @@ def test_it_says_each_learners_mean_return_at_the_step_that_all_reach(tmp_path: 
         rows = map(json.loads, (tmp_path / name / "metrics.jsonl").read_text().splitlines())
         curves[name] = [(r["env_step"], r["eval/return"]) for r in rows if "eval/return" in r]
     until = min(curve[-1][0] for curve in curves.values())
-    ends = {name: np.interp(until, *zip(*curve, strict=True)) for name, curve in curves.items()}
+    ends = {name: at(until, curve) for name, curve in curves.items()}
     words = seen(Store(tmp_path).runs())
     found = re.findall(r"(mle|tom) ([\d,.]+\d)", words)
     said = {name: float(number.replace(",", "")) for name, number in found}
