@@ -357,10 +357,9 @@ export default function ({ data, parentElement, setTriggerValue }) {
       plot.parentElement.querySelector(".plot-failed").hidden = true;
       // Plotly starts anew, zoom lost, when it gets other options: also other, equal functions.
       plot.options ??= options(Plotly, data.selects, Boolean(data.view));
-      const drawn = Plotly.react(plot, traces, dressed(seen, theme(plot)), plot.options);
+      await Plotly.react(plot, traces, dressed(seen, theme(plot)), plot.options);
       if (!plot.wired) wire(plot, Plotly);
       plot.wired = true;
-      await drawn;
       plot.frame = undefined;
       follow(plot, window.tomStep);
     })

@@ -29,6 +29,7 @@ from tom.record.reader import RunReader
 
 CURVES, STATISTICS, SETTINGS, RUNS = "Curves", "Statistics", "Settings", "Runs"
 REFRESH_S = 5
+CLICKED = "curves: a point was clicked"
 PANEL_HEIGHT = 300
 MOST_COLUMNS = 24
 NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
@@ -80,6 +81,8 @@ def _curves(scope: Scope, row) -> None:
 
 
 def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
+    if st.session_state.pop(CLICKED, False):
+        st.rerun()  # the list of runs and the timeline are not parts of the panels
     envs = sorted({run.env for run in scope.shown})
     if not envs:
         st.info("Every run is hidden: the eyes at the left open again.")
@@ -151,6 +154,7 @@ def _clicked(curves: Sequence[Curve], point: Point) -> None:
         away = [abs(float(np.interp(point.x, c.step, c.value)) - point.y) for c in near]
         st.session_state["run"] = [near[int(np.argmin(away))].run_id]
     timeline.go_to(int(point.x))
+    st.session_state[CLICKED] = True
 
 
 def _below(

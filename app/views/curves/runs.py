@@ -8,7 +8,6 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers
-from app.data.called import short_names
 from app.parts.scope import Scope, toggle
 from app.theme import learner_label
 from tom.analysis.settings import differences
@@ -43,12 +42,11 @@ def draw(scope: Scope) -> None:
     if why := session.read_only_reason():
         st.caption(why)
         return
-    names = short_names(runs)
     picked = st.multiselect(
         "Runs to label or to move to the trash",
         [run.run_id for run in runs],
         key="labelled",
-        format_func=lambda run_id: names[run_id],
+        # By their ids: a choice would be lost whenever a new name changed its words.
         placeholder="none",
         filter_mode="contains",
         select_all=False,
