@@ -137,15 +137,17 @@ def draw() -> Scope:
             st.info("No run passes these filters.", icon=":material/filter_alt_off:")
         _list(scope)
         frame.draw(everything)
-        alive = any(run.status.alive for run in everything)
-        again.when_changed(lambda: _store_state(store, alive=alive), LOOK_S)
+        alive = [run for run in everything if run.status.alive]
+        again.when_changed(lambda: store_state(store, alive), LOOK_S)
     return scope
 
 
-def _store_state(store: str, *, alive: bool) -> object:
-    """What changes when a run begins, and while some train when one of them ends."""
-    states = [(run.run_id, run.shown) for run in readers.listing(store).runs] if alive else []
-    return modified(Path(store)), states
+def store_state(store: str, alive: Sequence[RunReader]) -> object:
+    """What changes when a run begins, and when one of these has fitted, was evaluated or ended."""
+    named = {run.run_id for run in alive}
+    runs = [run for run in readers.listing(store).runs if run.run_id in named] if alive else []
+    now = [(run.run_id, run.shown, run.version("profiles"), run.evaluation_steps()) for run in runs]
+    return modified(Path(store)), now
 
 
 def _of_task(everything: Sequence[RunReader]) -> list[RunReader]:
