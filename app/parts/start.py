@@ -147,6 +147,14 @@ def failed(runs: Sequence[RunReader]) -> list[Started]:
     return [begun for begun in _started() if begun.failed(writers)]
 
 
+def waits(runs: Sequence[RunReader]) -> bool:
+    """Whether a training that was started here has none of the `runs`, all those known, yet."""
+    writers = {run.status.pid for run in runs}
+    return any(
+        begun.process.poll() is None and begun.process.pid not in writers for begun in _started()
+    )
+
+
 def log_of(run: RunReader) -> str:
     """The last lines of a training's output, if it was started here; else empty."""
     begun = [one for one in _started() if one.process.pid == run.status.pid]

@@ -10,8 +10,8 @@ from app.parts import start
 from app.parts.cards import cards
 from tom.record.reader import RunReader
 
-REFRESH_S, LOOK_S = 2, 5
-"""seconds between two drawings while a run trains, and between two looks at which runs train"""
+REFRESH_S = 2
+"""seconds between two drawings while a run trains, or one that was started here has not begun"""
 RECENT_S, MOST = 900, 6
 """seconds for which a run that has ended is still shown, and the number of those that are"""
 
@@ -19,8 +19,9 @@ RECENT_S, MOST = 900, 6
 def draw() -> None:
     """How to start one, and a card for each of them."""
     start.panel()
-    alive = any(run.status.alive for run in readers.listing(session.links().store).runs)
-    st.fragment(_cards, run_every=REFRESH_S if alive else LOOK_S)()
+    runs = readers.listing(session.links().store).runs
+    waits = any(run.status.alive for run in runs) or start.waits(runs)
+    st.fragment(_cards, run_every=REFRESH_S if waits else None)()
 
 
 def _cards() -> None:

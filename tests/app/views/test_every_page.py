@@ -46,7 +46,7 @@ OF_PARTS = [(page, more) for page, more in EVERYWHERE if page != "findings"]
 PARTS = ("buffer", "checkpoint", "episodes", "fields", "policies", "weights")
 LISTED = 0o444
 """the mode of a folder whose names can be listed and whose files cannot be opened"""
-REPEATING = {"answer": [5.0, 5.0], "replays": [5.0, 4.0]}
+REPEATING = {"replays": [5.0, 4.0]}
 """seconds between two looks, which draw nothing, at what may have begun elsewhere"""
 
 
