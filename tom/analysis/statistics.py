@@ -158,19 +158,6 @@ def corrected(ps: Sequence[float]) -> list[float]:
     return result.tolist()
 
 
-def means_differ(x: ArrayLike, y: ArrayLike) -> bool:
-    """Whether the means of two groups of runs, (n,) and (m,) of at least two, differ beyond noise.
-
-    Welch's t test at LEVEL. A fixed two standard errors would do for many runs, but chance exceeds
-    them in 18 of 100 pairs of groups of two.
-    """
-    ours, theirs = np.asarray(x, np.float64), np.asarray(y, np.float64)
-    if not np.ptp(ours) and not np.ptp(theirs):  # without spread there is no t
-        return bool(ours[0] != theirs[0])
-    result: Any = stats.ttest_ind(ours, theirs, equal_var=False)
-    return bool(result.pvalue < 1 - LEVEL)
-
-
 def remark(runs: int | Sequence[int]) -> str:
     """A warning if there are fewer than ten seeds. `runs`: seeds, or the seeds of each task."""
     n = min(runs, default=0) if isinstance(runs, Sequence) else runs

@@ -99,12 +99,6 @@ function wire(root) {
   track.onpointermove = (event) => {
     if (track.hasPointerCapture(event.pointerId)) move(root, under(root, event));
   };
-  // A panel asks for a step by a click on it.
-  window.addEventListener("tom:go", ({ detail }) => {
-    if (!root.isConnected) return;
-    const before = root.given.stops.filter((stop) => stop <= detail).length - 1;
-    move(root, before);
-  });
 }
 
 export default function ({ data, parentElement, setStateValue }) {

@@ -187,26 +187,6 @@ def test_the_p_of_several_tests_are_corrected_as_holm_says():
     assert st.corrected([]) == []
 
 
-@pytest.mark.parametrize(("n", "m"), [(2, 2), (3, 2), (5, 5), (12, 7)])
-def test_means_of_one_distribution_seldom_differ(n: int, m: int):
-    draws = rng()
-    pairs = [(draws.normal(size=n), draws.normal(size=m)) for _ in range(2000)]
-    differ = [st.means_differ(x, y) for x, y in pairs]
-    assert np.mean(differ) < 0.065
-
-
-def test_means_differ_by_welchs_t():
-    # Two groups of two with variance 1/2: the standard error is 1/sqrt(2), t has 2 degrees of
-    # freedom and must exceed 4.30.
-    assert not st.means_differ([0.0, 1.0], [3.0, 4.0])  # t = 4.24, more than two standard errors
-    assert st.means_differ([0.0, 1.0], [3.1, 4.1])  # t = 4.38
-
-
-def test_means_of_runs_that_are_all_alike_differ_if_they_are_not_equal():
-    assert st.means_differ([1.0, 1.0], [2.0, 2.0, 2.0])
-    assert not st.means_differ([1.0, 1.0], [1.0, 1.0])
-
-
 @pytest.mark.parametrize("scores", [[[np.nan]], np.zeros((2, 0)), []])
 def test_a_task_without_a_run_is_refused(scores):
     with pytest.raises(ValueError, match="at least one run"):
