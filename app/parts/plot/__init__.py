@@ -103,7 +103,9 @@ def chart(
     user saves. With `selected` the figure has box and lasso; it is called with None when the
     selection is cleared. Zoom, selection and hidden lines last while the figure's `uirevision`
     stays the same. A page that stores the zoom itself passes the `view`, and `viewed` is called
-    with each new one. All callbacks run before the page is drawn again.
+    with each new one. All callbacks run before the page is drawn again. With `follow` the chart
+    goes with the page's timeline; charts that are `linked` by one name share their zoom along x
+    and the pointer's line. `caption` is offered with a saved file, else the label.
     """
 
     def on_click() -> None:

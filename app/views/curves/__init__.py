@@ -111,6 +111,7 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
                     partial(_clicked, curves) if how.axes.x == measure.STEPS else None,
                     view=zoom.view(seen, metric), viewed=partial(zoom.remember, seen, metric),
                     follow=Follow(cursor=how.axes.x == measure.STEPS), linked="curves",
+                    caption=caption(metric, env, grouped, how, scope),
                 )  # fmt: skip
     if first is not None:
         _below(scope, metrics[0], how, *first)
@@ -144,6 +145,17 @@ def _figure(
     if len(grouped) <= LINES:
         label_ends(figure, grouped, scope.looks, how.axes)
     return figure
+
+
+def caption(metric: str, env: str, grouped: Sequence[Group], how: Measure, scope: Scope) -> str:
+    """A caption for a saved figure: what is drawn, the interval, and n of each group."""
+    bands = {"bootstrap": ", band: 95 % bootstrap interval", "deviation": ", band: one deviation"}
+    named = ", ".join(f"{scope.looks[group.kind].title} (n = {group.n})" for group in grouped)
+    smooth = f", moving average of {how.window} points" if how.window > 1 else ""
+    return (
+        f"{short_title(metric)} on {task(env)} against {how.axes.x}. Line: {NAMES[how.statistic]} "
+        f"over {scope.unit}{bands.get(how.band, '')}{smooth}. {named}."
+    )
 
 
 def _clicked(curves: Sequence[Curve], point: Point) -> None:

@@ -441,3 +441,15 @@ def test_tags_of_several_runs_are_those_they_share_and_others_stay(own: Path) ->
     assert not app.exception
     held = [set(RunReader(own / run_id).labels.tags) for run_id in SEEDS]
     assert held == [{"ours", "shared", "new"}, {"shared", "new"}]
+
+
+def test_a_caption_has_the_interval_and_the_n_of_each_group() -> None:
+    app = draw("curves", task="inverted-pendulum", statistic="median")
+    (words,) = {
+        json.loads(part.proto.json)["caption"]
+        for part in app.get("bidi_component")
+        if part.proto.component_name == "tom_plot" and "eval/return" in part.proto.json
+    }
+    assert {"Return", "median", "95 %", "(n = 2)", "(n = 1)"} <= {
+        found for found in ("Return", "median", "95 %", "(n = 2)", "(n = 1)") if found in words
+    }
