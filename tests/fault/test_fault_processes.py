@@ -53,9 +53,10 @@ def test_two_processes_that_resume_the_same_run__one_goes_on_the_other_is_refuse
     stopped(Store(tmp_path), 130, steps=2000)
     command = ("train", "--resume", "a", "--store", tmp_path, "--no-rerun", "--steps", 1500)
     results = [ended(p) for p in [tom(*command) for _ in range(2)]]
-    assert sorted(code for code, _, _ in results) == [0, 2]
-    [refused] = [error for code, _, error in results if code == 2]
-    assert "written by another process" in refused or "is complete" in refused
+    (_, refused) = sorted(results)
+    assert sorted(results)[0][0] == 0
+    # Try later, while the other writes; once it has ended there is nothing left to do.
+    assert refused[0] == (75 if "written by another process" in one_line(refused[2]) else 2)
     assert Store(tmp_path).run("a").status.env_step == 1500
 
 
@@ -79,8 +80,7 @@ def test_a_run_that_is_being_written__resume_is_refused_and_the_run_unharmed(tmp
 def test_a_run_written_on_another_machine_with_any_clock__resume_is_refused_while_its_heart_beats(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ahead_s: float
 ):
-    monkeypatch.setattr("tom.training.resume.BEAT_S", 0.1)
-    monkeypatch.setattr("tom.record.manage.BEAT_S", 0.1)
+    monkeypatch.setattr("tom.record.lock.BEAT_S", 0.1)
     run = stopped(Store(tmp_path), 130)
     (run.path / ".writer").write_text("the boot of another machine")
     status = json.loads((run.path / "status.json").read_text())

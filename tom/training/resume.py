@@ -14,6 +14,7 @@ from tom.errors import StartAgainError, TryLaterError, UserError, invalid_value,
 from tom.events import Notice
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
+from tom.mbpo import Mbpo
 from tom.record import RunReader, Store, checkpoint, lock
 from tom.record.checkpoint import Checkpoint
 from tom.record.files import set_aside
@@ -220,6 +221,12 @@ def _restore(
     """Restore `training` from the checkpoint; returns the mark of its record."""
     try:
         state = saved.state["training"]
+        own = set(training.learner.state_dict()) if isinstance(training, Mbpo) else None
+        if own is not None and set(state["learner"]) != own:
+            raise StartAgainError(
+                f"the checkpoint of run '{reader.run_id}' is of another learner than "
+                f"{reader.learner}: put back its config.json, or start it again"
+            )
         training.load_state_dict(state, *_collected(reader, state["collected"]))
         if "watch" in saved.state:
             watch.load_state_dict(saved.state["watch"])
