@@ -1,19 +1,15 @@
 """What all pages share in the browser: shortcuts, help, the theme, notices of ended trainings."""
 
 from collections.abc import Sequence
-from functools import cache
-from pathlib import Path
 
 import streamlit as st
-from streamlit.components.v2 import component
 
 from app import session, text
 from app.data.called import names
+from app.parts.component import renderer
 from tom.readable import score
 from tom.record.reader import RunReader
 
-_SCRIPT = Path(__file__).with_name("frame.js")
-_STYLE = Path(__file__).with_name("frame.css")
 TOLD = "frame: told"
 """the ended trainings that this session knows of"""
 KEYS = {
@@ -25,6 +21,11 @@ KEYS = {
     "Back": "the view before this one",
 }
 _HELP = "".join(f"<dt><kbd>{key}</kbd></dt><dd>{what}</dd>" for key, what in KEYS.items())
+_HTML = f"""<div class="frame"><button type="button" class="theme"></button>
+      <button type="button" class="help">Shortcuts</button>
+      <button type="button" class="ask">Notify me when a training ends</button>
+      <dialog aria-label="Shortcuts"><h2>Shortcuts</h2><dl>{_HELP}</dl>
+      <form method="dialog"><button autofocus>Close</button></form></dialog></div>"""
 
 
 def draw(runs: Sequence[RunReader]) -> None:
@@ -45,19 +46,4 @@ def draw(runs: Sequence[RunReader]) -> None:
             st.toast(f"**{text.markdown(one['title'])}**  \n{text.markdown(one['body'])}")
     st.session_state[TOLD] = {one["id"] for one in ended}
     mode = "" if session.links().theme else session.mode()
-    _mount()(key="page frame", data={"mode": mode, "ended": ended})
-
-
-@cache
-def _mount():
-    return component(
-        "tom_frame",
-        html=f"""<div class="frame"><button type="button" class="theme"></button>
-          <button type="button" class="help">Shortcuts</button>
-          <button type="button" class="ask">Notify me when a training ends</button>
-          <dialog aria-label="Shortcuts"><h2>Shortcuts</h2><dl>{_HELP}</dl>
-          <form method="dialog"><button autofocus>Close</button></form></dialog></div>""",
-        css=_STYLE.read_text(),
-        js=_SCRIPT.read_text(),
-        isolate_styles=False,
-    )
+    renderer("frame", _HTML)(key="page frame", data={"mode": mode, "ended": ended})

@@ -5,19 +5,21 @@ Streamlit's own chart is removed and built again whenever its figure differs.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
 import plotly
 import plotly.graph_objects as go
 import streamlit as st
-from streamlit.components.v2 import component
+
+from app.parts.component import renderer
 
 LIBRARY = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
 LIBRARY_PATH = f"/api/plotly-{plotly.__version__}.js"
-_SCRIPT = Path(__file__).with_name("plot.js")
-_STYLE = Path(__file__).with_name("plot.css")
+_HTML = """<div class="plot-frame"><p class="plot-failed" role="alert" hidden></p>
+      <div class="plot" role="img"></div>
+      <div class="plot-cursor" aria-hidden="true" hidden></div>
+      <div class="plot-crosshair" aria-hidden="true" hidden></div></div>"""
 
 
 @dataclass(frozen=True)
@@ -134,25 +136,11 @@ def chart(
         "caption": caption,
     }
     height = int(figure.layout.height or 400)  # type: ignore[attr-defined]
-    _mount()(
+    renderer("plot", _HTML)(
         key=key,
         data=data,
         height=height,
         on_clicked_change=on_click,
         on_selected_change=on_select,
         on_viewed_change=on_view,
-    )
-
-
-@cache
-def _mount():
-    return component(
-        "tom_plot",
-        html="""<div class="plot-frame"><p class="plot-failed" role="alert" hidden></p>
-          <div class="plot" role="img"></div>
-          <div class="plot-cursor" aria-hidden="true" hidden></div>
-          <div class="plot-crosshair" aria-hidden="true" hidden></div></div>""",
-        css=_STYLE.read_text(),
-        js=_SCRIPT.read_text(),
-        isolate_styles=False,
     )

@@ -2,14 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
-from pathlib import Path
 
 import streamlit as st
-from streamlit.components.v2 import component
 
-_SCRIPT = Path(__file__).with_name("runlist.js")
-_STYLE = Path(__file__).with_name("runlist.css")
+from app.parts.component import renderer
+
+_HTML = '<div class="runlist" role="group" aria-label="Runs"></div>'
 
 
 @dataclass(frozen=True)
@@ -63,22 +61,11 @@ def draw(
         if values is not None:
             act(*values)
 
-    _mount()(
+    renderer("runlist", _HTML)(
         key="runlist",
         data={"sections": [asdict(section) for section in sections]},
         on_toggled_change=lambda: on("toggled", toggled),
         on_alone_change=lambda: on("alone", alone),
         on_chosen_change=lambda: on("chosen", chosen),
         on_everything_change=lambda: on("everything", everything),
-    )
-
-
-@cache
-def _mount():
-    return component(
-        "tom_runlist",
-        html='<div class="runlist" role="group" aria-label="Runs"></div>',
-        css=_STYLE.read_text(),
-        js=_SCRIPT.read_text(),
-        isolate_styles=False,
     )

@@ -5,17 +5,20 @@ page again when the hand stops.
 """
 
 from collections.abc import Sequence
-from functools import cache
-from pathlib import Path
 
 import streamlit as st
-from streamlit.components.v2 import component
 
 from app.parts import address
+from app.parts.component import renderer
 
 STEP = "step"
-_SCRIPT = Path(__file__).with_name("timeline.js")
-_STYLE = Path(__file__).with_name("timeline.css")
+_HTML = """<div class="timeline" role="group" aria-label="Timeline">
+      <button type="button" aria-label="Play"><svg viewBox="0 0 24 24" width="16"
+        aria-hidden="true"><path fill="currentColor" d="M7 4.5v15l12.5-7.5Z"/></svg></button>
+      <div class="track"><div class="marks"></div><div class="hand"></div>
+        <input type="range" step="1" aria-label="Step of the training"></div>
+      <output aria-live="off"></output>
+      <span class="key">| fit &nbsp; &#8226; evaluation</span></div>"""
 
 
 def chosen(stops: Sequence[int]) -> int:
@@ -47,21 +50,6 @@ def draw(fits: Sequence[int], evaluations: Sequence[int], step: int) -> None:
 
     given = {"stops": stops, "fits": list(fits), "evaluations": list(evaluations)}
     with st.bottom:
-        _mount()(key="timeline", data={"given": given, STEP: step}, on_step_change=on_step)
-
-
-@cache
-def _mount():
-    return component(
-        "tom_timeline",
-        html="""<div class="timeline" role="group" aria-label="Timeline">
-          <button type="button" aria-label="Play"><svg viewBox="0 0 24 24" width="16"
-            aria-hidden="true"><path fill="currentColor" d="M7 4.5v15l12.5-7.5Z"/></svg></button>
-          <div class="track"><div class="marks"></div><div class="hand"></div>
-            <input type="range" step="1" aria-label="Step of the training"></div>
-          <output aria-live="off"></output>
-          <span class="key">| fit &nbsp; &#8226; evaluation</span></div>""",
-        css=_STYLE.read_text(),
-        js=_SCRIPT.read_text(),
-        isolate_styles=False,
-    )
+        renderer("timeline", _HTML)(
+            key="timeline", data={"given": given, STEP: step}, on_step_change=on_step
+        )

@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 import streamlit as st
 from numpy.typing import NDArray
+from streamlit.delta_generator import DeltaGenerator
 
 from app import session, text
 from app.data import buffer, readers
@@ -64,7 +65,7 @@ def page(scope: Scope) -> None:
         _over_time(scope, row)
 
 
-def _over_time(scope: Scope, row) -> None:
+def _over_time(scope: Scope, row: DeltaGenerator) -> None:
     run = scope.one(readers.has_profiles, widgets.telling)
     if run is None:
         st.info("No run here has fitted a model yet: weights come with the first fit.")

@@ -5,7 +5,9 @@ from functools import partial
 
 import numpy as np
 import pandas as pd
+import plotly.graph_objects as go
 import streamlit as st
+from streamlit.delta_generator import DeltaGenerator
 
 from app import session, text
 from app.data import readers, tables
@@ -62,7 +64,7 @@ def page(scope: Scope) -> None:
     widgets.show_store_problems(listing.problems)
 
 
-def _curves(scope: Scope, row) -> None:
+def _curves(scope: Scope, row: DeltaGenerator) -> None:
     recorded = measure.in_order(name for run in scope.runs for name in readers.points(run))
     usual = [name for name in measure.FIRST[:4] if name in recorded]
     chosen = address.choose_many(
@@ -124,7 +126,7 @@ def _figure(
     how: Measure,
     scope: Scope,
     here: Sequence[RunReader],
-):
+) -> go.Figure | None:
     """The figure of one panel; None if a plug-in's chart failed, which the page then shows."""
     if metric in CHARTS:
         try:

@@ -171,7 +171,9 @@ def _efficiency(table: pd.DataFrame, name: str, level: float, until: float) -> N
     st.dataframe(_shown(table), hide_index=True)
 
 
-def _scores(names: Sequence[str], grouped: Sequence[Group], scores: Sequence[NDArray]):
+def _scores(
+    names: Sequence[str], grouped: Sequence[Group], scores: Sequence[NDArray]
+) -> pd.DataFrame:
     return pd.DataFrame(
         [
             {"group": name, "run": curve.run_id, "seed": curve.seed, "score": value}

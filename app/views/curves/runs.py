@@ -1,6 +1,6 @@
 """Names, tags and notes of runs, and the trash."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pandas as pd
@@ -147,7 +147,7 @@ def _restore() -> None:
             _try(lambda: [manage.restore(store, run_id) for run_id in back], "Brought back")
 
 
-def _try(act, done: str) -> None:
+def _try(act: Callable[[], object], done: str) -> None:
     """Call `act` and draw the page again; if it fails, show why in one line."""
     try:
         act()
