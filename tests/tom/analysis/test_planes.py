@@ -1,0 +1,81 @@
+import numpy as np
+import pandas as pd
+import pytest
+
+from tom.analysis import planes
+from tom.data.transitions import Transitions
+
+NAMES = ["a", "b", "c", "next a", "next b"]
+
+
+@pytest.fixture
+def table() -> np.ndarray:
+    rng = np.random.default_rng(1)
+    mixed = rng.normal(size=(4000, 5)) @ rng.normal(size=(5, 5))
+    return ((mixed - mixed.mean(0)) / mixed.std(0)).astype(np.float32)
+
+
+@pytest.fixture
+def weight(table: np.ndarray) -> np.ndarray:
+    return 2.0 ** (2 * table[:, 0] - np.abs(table[:, 1])) * (table[:, 2] < 1.5)
+
+
+def test_contrast_spans_the_first_two_krylov_directions(table: np.ndarray, weight: np.ndarray):
+    """Partial least squares with one response spans X'y, (X'X) X'y (Helland 1988)."""
+    plane = planes.contrast(table, weight, NAMES)
+    x = table.astype(np.float64) - table.astype(np.float64).mean(0)
+    log = np.log2(np.maximum(weight / weight.mean(), 1 / 32))
+    first = x.T @ (log - log.mean())
+    basis, _ = np.linalg.qr(np.stack([first, x.T @ x @ first], 1))
+    assert plane.axes.T @ plane.axes == pytest.approx(np.eye(2), abs=1e-9)
+    assert basis @ basis.T @ plane.axes == pytest.approx(plane.axes, abs=1e-6)
+    assert np.corrcoef(plane.project(table)[:, 0], log)[0, 1] > 0.5
+
+
+def test_principal_components_are_those_of_a_singular_value_decomposition(table: np.ndarray):
+    plane = planes.principal(table, NAMES)
+    vectors = np.linalg.svd(table.astype(np.float64) - table.mean(0), full_matrices=False)[2]
+    assert np.abs(np.sum(vectors[:2].T * plane.axes, 0)) == pytest.approx([1, 1], abs=1e-6)
+
+
+def test_the_share_explained_is_that_of_a_table_grouped_by_cell(
+    table: np.ndarray, weight: np.ndarray
+):
+    xy = planes.contrast(table, weight, NAMES).project(table)
+    log = pd.Series(np.log2(np.maximum(weight / weight.mean(), 1 / 32)))
+    side = int((len(weight) / 24) ** 0.5)
+    edges = [
+        np.linspace(*np.quantile(axis.astype(float), [0.005, 0.995]), side + 1) for axis in xy.T
+    ]
+    cells = [
+        pd.Series(np.digitize(axis, edge[1:-1])) for axis, edge in zip(xy.T, edges, strict=True)
+    ]
+    fitted = pd.Series(np.random.default_rng(0).random(len(log)) < 0.5)
+    rows = pd.DataFrame({"log": log, "x": cells[0], "y": cells[1]})
+    mean = log[fitted].mean()
+    of_cell = (
+        rows[fitted].groupby(["x", "y"])["log"].agg(lambda of: (of.sum() + mean) / (len(of) + 1))
+    )
+    predicted = rows[~fitted].join(of_cell.rename("mean"), on=["x", "y"])["mean"].fillna(mean)
+    error = ((rows["log"][~fitted] - predicted) ** 2).mean()
+    share = 1 - error / ((rows["log"][~fitted] - mean) ** 2).mean()
+    assert planes.explained(xy, weight) == pytest.approx(share, abs=1e-3)
+    assert share > 0.3
+
+
+@pytest.mark.parametrize("count", [0, 1, 50])
+def test_equal_weights_and_constant_rows_have_a_plane_that_explains_nothing(count: int):
+    flags = np.zeros(count)
+    rows = Transitions(
+        np.ones((count, 2)), np.ones((count, 1)), flags, np.ones((count, 2)), flags, flags
+    )
+    table, names = planes.features(rows, ("x", "v"), ("push",))
+    assert names == ["x", "v", "push", "next x", "next v"]
+    plane = planes.contrast(table, np.ones(count), names)
+    assert plane.project(table).shape == (count, 2)
+    assert planes.explained(plane.project(table), np.ones(count)) == 0
+
+
+def test_an_axis_is_named_by_its_largest_loadings():
+    axis = np.array([0.1, -0.8, 0.2, 0.0, -0.7])
+    assert planes.described(axis, NAMES) == "b down, c up"
