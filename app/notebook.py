@@ -4,7 +4,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from app.data import regions
-from app.data.buffer import Floats, dimension_names, rows_at
+from app.data.buffer import Floats, rows_at
 from app.figures.base import steps_in_words
 from app.figures.curves import run_curves
 from app.figures.probe import probe_profiles
@@ -13,6 +13,7 @@ from app.figures.weights import effective_sample, weight_map, weight_profile
 from app.theme import learner_label
 from tom.analysis.curves import Curve, curve_points
 from tom.frames import Run, Weighing
+from tom.record.task_record import dimension_names
 
 RETURN = "eval/return"
 HEAVIEST = 0.01

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from app.data.cache import VersionedCache, cached
 from app.data.readers import reader
 from tom.analysis.imagine import step_errors, stored_model, stored_step
-from tom.data.transitions import Transitions
-from tom.envs import ENVS, ROAD, Task
+from tom.data.transitions import Transitions, episodes
+from tom.envs import ROAD, Task
 from tom.errors import UserError
 from tom.record.reader import Recorded, RunReader
 from tom.record.task_record import scene_of, task_of
@@ -67,28 +67,6 @@ def rows_at(
         first, whole[kept], version[kept], episode[kept], place[kept], returns[kept],
         np.asarray(weight, np.float64),
     )  # fmt: skip
-
-
-def episodes(rows: Transitions) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """For each row (N,): the number of its episode, its place in it, and the episode's return."""
-    ended = rows.ended()
-    number = np.concatenate([[0], np.cumsum(ended)[:-1]]).astype(np.int64)[: len(rows)]
-    starts = np.searchsorted(number, np.arange(number[-1] + 1)) if len(number) else number
-    totals = np.bincount(number, np.asarray(rows.reward, np.float64)).astype(np.float64)
-    return number, np.arange(len(rows)) - starts[number], totals[number]
-
-
-def dimension_names(
-    env: str, rows: Transitions, described: Sequence[str] = ()
-) -> tuple[list[str], list[str]]:
-    """The names of the observation's and the action's dimensions, (O,) and (A,).
-
-    `described` are the names that a run has recorded for a task that is not ours.
-    """
-    o, a = np.shape(rows.obs)[1], np.shape(rows.action)[1]
-    named = ("x", "y") if env == ROAD else ENVS[env].obs_names if env in ENVS else described
-    names = list(named) if len(named) == o else [f"observation {i + 1}" for i in range(o)]
-    return names, [f"action {i + 1}" for i in range(a)]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:  # torch takes a second to import, and a reader of runs does without it
     from torch import Tensor
@@ -106,3 +107,12 @@ class TensorTransitions(Transitions):
         return TensorTransitions(
             *(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(TensorTransitions))
         )
+
+
+def episodes(rows: Transitions) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """For each row (N,): the number of its episode, its place in it, and the episode's return."""
+    ended = rows.ended()
+    number = np.concatenate([[0], np.cumsum(ended)[:-1]]).astype(np.int64)[: len(rows)]
+    starts = np.searchsorted(number, np.arange(number[-1] + 1)) if len(number) else number
+    totals = np.bincount(number, np.asarray(rows.reward, np.float64)).astype(np.float64)
+    return number, np.arange(len(rows)) - starts[number], totals[number]

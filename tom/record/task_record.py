@@ -4,12 +4,14 @@ A run in one of our tasks needs none. Any other has the task's description in `c
 MuJoCo, its geometry in `scene.npz`. Reading it imports nothing.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tom.data.transitions import Transitions
 from tom.envs import ENVS, ROAD, Task, scene, task
 from tom.envs.termination import never
 from tom.errors import UserError, reason
@@ -58,6 +60,19 @@ def task_of(run: RunReader) -> Task:
             f"run '{run.run_id}' does not say what its task {run.env} is: {layout.CONFIG} has no "
             f"valid 'task' ({reason(error)})"
         ) from None
+
+
+def dimension_names(
+    env: str, rows: Transitions, described: Sequence[str] = ()
+) -> tuple[list[str], list[str]]:
+    """The names of the observation's and the action's dimensions, (O,) and (A,).
+
+    `described` are the names that a run has recorded for a task that is not ours.
+    """
+    o, a = np.shape(rows.obs)[1], np.shape(rows.action)[1]
+    named = ("x", "y") if env == ROAD else ENVS[env].obs_names if env in ENVS else described
+    names = list(named) if len(named) == o else [f"observation {i + 1}" for i in range(o)]
+    return names, [f"action {i + 1}" for i in range(a)]
 
 
 def seconds(run: RunReader) -> float:

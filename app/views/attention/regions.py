@@ -8,7 +8,7 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import session
 from app.data import buffer, regions, weighings
-from app.data.buffer import Rows, dimension_names
+from app.data.buffer import Rows
 from app.data.regions import Mask, Plane
 from app.data.weighings import Dataset
 from app.figures.regions import region_map
@@ -25,6 +25,7 @@ from app.views.attention.progress import show_notices
 from tom.analysis.brush import AS_IT_IS
 from tom.envs import ROAD
 from tom.record.reader import RunReader, at_or_before
+from tom.record.task_record import dimension_names
 from tom.reports.weighing_files import called
 from tom.spread import spread
 

@@ -9,7 +9,7 @@ import streamlit as st
 from app import session, text
 from app.data import buffer, trainings, weighings
 from app.data import why as reasons
-from app.data.buffer import Rows, dimension_names
+from app.data.buffer import Rows
 from app.data.regions import Plane
 from app.data.why import Source
 from app.figures.regions import rollout_lines, waterfall
@@ -22,6 +22,7 @@ from tom.envs import ROAD, is_code
 from tom.learners import SUBJECT
 from tom.readable import number, percent, score, short
 from tom.record.reader import RunReader
+from tom.record.task_record import dimension_names
 
 KEY = "row"
 STARTED = "why weighing"

@@ -10,13 +10,14 @@ from studio_pages import array, draw, figures
 from studio_runs import PENDULUM_TOM, info
 
 from app.data import buffer, regions
-from app.data.buffer import WINDOW, Rows, against, dimension_names, episodes, rows_at, windows
+from app.data.buffer import WINDOW, Rows, against, rows_at, windows
 from app.figures.regions import POINTS, hover_data, region_map, weights_against
 from app.scenes import solids, states
 from app.views.attention.region_tables import listed
-from tom.data.transitions import Transitions
+from tom.data.transitions import Transitions, episodes
 from tom.envs import scene, task
 from tom.record.reader import RunReader
+from tom.record.task_record import dimension_names
 
 pytestmark = pytest.mark.usefixtures("studio")
 FIT = 300
