@@ -11,16 +11,19 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tom.analysis.imagine import step_errors, stored_model
 from tom.analysis.ordered_data import OrderedData, find_run
+from tom.analysis.row_table import row_table, transition_table
 from tom.analysis.weighing import Weighed, plan_weighing
 from tom.data.sampling import bin_means
 from tom.data.transitions import Transitions
 from tom.data.unpack import DAMAGE
-from tom.envs import bring
+from tom.envs import ROAD, bring
 from tom.errors import UserError, reason
 from tom.learners import WEIGHED_FIRST
 from tom.record import RunReader, Store
 from tom.record.decode import read_table
+from tom.record.task_record import dimension_names, task_of
 from tom.reports import weighing_files
 from tom.reports.weighing_files import REPORT, ROWS, WEIGHTS
 
@@ -61,18 +64,60 @@ class Run:
     @cached_property
     def transitions(self) -> pd.DataFrame:
         """The replay buffer, one row per transition, oldest first."""
-        return transitions_frame(self.reader.buffer()[0])
+        return transition_table(self.reader.buffer()[0])
 
     def weights(self, step: int | None = None) -> pd.DataFrame:
         """All weights of the fit at `step` (default: the last stored one), one row per transition.
 
         Raises UserError if the weights of that fit were not stored.
         """
+        return self.reader.snapshot(self._kept(step))
+
+    def rows(self, step: int | None = None) -> pd.DataFrame:
+        """The buffer of the fit at `step` (default: the last stored one): `row_table`'s columns.
+
+        Further columns, where they are known: `error`, that of the run's last model, and the
+        weights of other learners for this buffer, named as by `tom.weigh`. Raises UserError as
+        `weights`, and if the buffer is not kept.
+        """
+        step = self._kept(step)
+        weight = self.reader.snapshot(step)["weight"].to_numpy(np.float32)
+        record = self.reader.buffer()[0]
+        # Offline data is complete from the first step on; online, each step adds a row.
+        end = len(record) if self.reader.env == ROAD else step
+        if not len(weight) <= end <= len(record):
+            raise UserError(
+                f"run {self.name} does not keep its buffer of step {step}"
+                + "".join(f"; {problem}" for problem in self.reader.problems)
+            )
+        rows = record[end - len(weight) : end]
+        described = () if self.reader.env == ROAD else task_of(self.reader).obs_names
+        names = dimension_names(self.reader.env, rows, described)
+        more = self._errors(rows) | self._weighed(end, len(weight), len(record))
+        return row_table(record, weight, end, names, more)
+
+    def _kept(self, step: int | None) -> int:
         kept = self.reader.snapshot_steps()
         if not kept or (step is not None and step not in kept):
             steps = ", ".join(map(str, kept)) or "none"
             raise UserError(f"run {self.name} kept no weights of step {step}: it kept {steps}")
-        return self.reader.snapshot(kept[-1] if step is None else step)
+        return kept[-1] if step is None else step
+
+    def _errors(self, rows: Transitions) -> dict[str, NDArray]:
+        try:
+            return {"error": step_errors(stored_model(self.reader).predictor, rows)}
+        except UserError:  # it kept no model
+            return {}
+
+    def _weighed(self, end: int, count: int, recorded: int) -> dict[str, NDArray]:
+        """The weights that weighings of the same rows made, the newest by name."""
+        found: dict[str, NDArray] = {}
+        for path in weighing_files.of_run(self.reader.path.parent, self.name):
+            made = _weighing(path)
+            same = made.report["rows"] == count and (made.report.get("step") or recorded) == end
+            if same and not weighing_files.is_brush(made.report):
+                found |= {name: made.weights[name].to_numpy() for name in map(str, made.weights)}
+        return found
 
     def _repr_html_(self) -> str:
         return self.summary.to_frame().T.to_html()
@@ -121,7 +166,7 @@ class Weighing:
         """The weighed rows. Raises UserError if they are not stored."""
         if self.rows is None:
             raise UserError(f"the rows of {self.report['data']} are not kept here: load its run")
-        return transitions_frame(self.rows)
+        return transition_table(self.rows)
 
     def by_learner(self) -> dict[str, NDArray[np.float64]]:
         """The profiles of each learner's seeds, (S, 100)."""
@@ -190,19 +235,6 @@ def weigh(
     weights = pd.DataFrame({f"{one.learner}-s{one.seed}": one.weights for one in weighed})
     rows = plan.data.transitions.numpy()
     return Weighing(report, weights, rows, (plan.data, weighed))
-
-
-def transitions_frame(rows: Transitions) -> pd.DataFrame:
-    """One row per transition; a vector has one column per dimension: `obs_0`, `obs_1`, ..."""
-    part = rows.numpy()
-    columns: dict[str, NDArray] = {}
-    for name in ("obs", "action", "reward", "next_obs", "terminated", "truncated"):
-        values = np.asarray(getattr(part, name))
-        if values.ndim == 1:
-            columns[name] = values != 0 if name in ("terminated", "truncated") else values
-        else:
-            columns |= {f"{name}_{i}": values[:, i] for i in range(values.shape[1])}
-    return pd.DataFrame(columns)
 
 
 def _weighing(path: Path) -> Weighing:

@@ -1,5 +1,6 @@
 """Runs and weighings as frames: the numbers are those of the files."""
 
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -53,6 +54,48 @@ def test_a_run_is_what_its_folder_holds(run: Run):
     np.testing.assert_array_equal(run.weights(step), reader.snapshot(step))
     with pytest.raises(UserError, match="kept no weights of step 7: it kept"):
         run.weights(7)
+
+
+def test_the_rows_of_a_fit_stand_in_one_table(run: Run, tmp_path: Path, capsys):
+    step = run.reader.snapshot_steps()[-1]
+    rows, whole = run.rows(step), run.transitions
+    count = len(run.weights(step))
+    numbers = list(range(step - count, step))
+    assert rows["row"].tolist() == numbers
+    pd.testing.assert_frame_equal(
+        rows[whole.columns], whole.iloc[numbers].reset_index(drop=True), check_like=True
+    )
+    ended = whole["terminated"] | whole["truncated"]
+    episode = ended.shift(fill_value=False).cumsum()
+    assert rows["episode"].tolist() == episode[numbers].tolist()
+    assert rows["episode_step"].tolist() == whole.groupby(episode).cumcount()[numbers].tolist()
+    np.testing.assert_array_equal(rows["weight"], run.weights(step)["weight"])
+    log = np.log2(np.maximum(rows["weight"] / rows["weight"].mean(), 1 / 32))
+    assert abs(np.corrcoef(rows["contrast_0"], log)[0, 1]) >= max(
+        abs(np.corrcoef(rows[name], log)[0, 1]) for name in ("contrast_1", "pc_0", "pc_1")
+    )
+    command = ["runs", "export", RUN, "--store", str(GALLERY), "--out", str(tmp_path)]
+    assert main([*command, "--rows", str(step)]) == 0
+    (written,) = tmp_path.glob(f"{RUN}-rows-{step}.parquet")
+    pd.testing.assert_frame_equal(pd.read_parquet(written), rows)
+    assert main([*command, "--rows", "7"]) == 2
+    assert main([*command, "--rows", str(step), "--small"]) == 2
+    assert list(tmp_path.iterdir()) == [written]
+
+
+def test_weights_of_others_for_the_same_rows_stand_beside(weighing: Weighing, tmp_path: Path):
+    shutil.copytree(GALLERY / RUN, tmp_path / RUN)
+    weighing.save(tmp_path / "weighings" / "of-more-rows")
+    run = tom.load(RUN, store=tmp_path)
+    assert isinstance(run, Run)
+    last = run.reader.snapshot_steps()[-1]
+    same = tom.weigh(
+        RUN, RUN, step=last, seeds=[2], footprint=100, learners=["pmac"], store=tmp_path
+    )
+    same.save(tmp_path / "weighings" / "of-these")
+    rows = run.rows(last)
+    assert [name for name in rows if "-s" in name] == ["pmac-s2"]
+    np.testing.assert_array_equal(rows["pmac-s2"], same.weights["pmac-s2"])
 
 
 def test_a_weighing_is_kept_as_tom_weigh_keeps_it(weighing: Weighing, tmp_path: Path):

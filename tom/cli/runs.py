@@ -17,7 +17,7 @@ from tom.errors import UserError, unknown
 from tom.harmless import terminal
 from tom.readable import score, short
 from tom.record import RunReader, Status, Store, manage, small_copy
-from tom.record.export import EXPORTERS, export, export_small
+from tom.record.export import EXPORTERS, export, export_rows, export_small
 from tom.record.labels import Labels
 from tom.record.layout import WEIGHINGS
 from tom.record.thin import OPTIONAL, SERIES
@@ -85,6 +85,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         help=f"what a small copy leaves out: {', '.join(SERIES)}, of which it else has a few, "
         + ", ".join(OPTIONAL),
     )  # fmt: skip
+    exported.add_argument(
+        "--rows", type=whole(0), metavar="STEP", help="the buffer's rows of the fit at this step"
+    )
     exported.add_argument("--out", type=Path, default=Path("exports"), help="folder [exports/]")
     verb("index", index, "write the store's README.md: its small copies, and how each was made")
     verb("size", size, "what runs [all] take on the disk, in MB", "*")
@@ -301,8 +304,10 @@ def repair(args: argparse.Namespace) -> int:
 def export_runs(args: argparse.Namespace) -> int:
     if (args.keep or args.without) and not args.small:
         raise UserError("--keep and --without are about a small copy: add --small")
-    if args.format and args.small:
-        raise UserError("--small copies run folders as they are: leave out --format")
+    asked = {"--format": args.format, "--small": args.small or None, "--rows": args.rows}
+    chosen = [name for name, value in asked.items() if value is not None]
+    if len(chosen) > 1:
+        raise UserError(f"{' and '.join(chosen)} are different exports: choose one")
     if both := sorted({*args.keep} & {*args.without}):
         raise UserError(f"--keep and --without both name {', '.join(both)}: choose one")
     store = Store(args.store)
@@ -325,6 +330,11 @@ def _exported(run: RunReader, args: argparse.Namespace) -> Iterator[Path]:
 
         yield export_small(run, args.out, args.keep, args.without)
         yield from copy_small(args.store, run.run_id, args.out)
+    elif args.rows is not None:
+        from tom.frames import Run
+
+        path = args.out / f"{run.run_id}-rows-{args.rows}.parquet"
+        yield export_rows(Run(run).rows(args.rows), path)
     else:
         yield export(run, args.format or "csv", args.out)
 

@@ -12,6 +12,7 @@ from functools import partial
 from math import isnan
 from pathlib import Path
 
+import pandas as pd
 import pyarrow as pa
 
 from tom.errors import UserError
@@ -38,6 +39,11 @@ def export_small(
     return _written(folder / reader.run_id, lambda path: thin(reader, path, keep, without))
 
 
+def export_rows(table: pd.DataFrame, path: Path) -> Path:
+    """Write a table of rows (`tom.analysis.row_table`) as Parquet; see `export` for errors."""
+    return _written(path, partial(_write_frame, table))
+
+
 def _written(path: Path, write: Callable[[Path], object]) -> Path:
     if os.path.lexists(path):
         raise UserError(f"{path} exists already: move it away or choose another --out")
@@ -55,7 +61,11 @@ def _csv(reader: RunReader, path: Path) -> None:
 
 
 def _parquet(reader: RunReader, path: Path) -> None:
-    table = pa.Table.from_pandas(reader.metrics(), preserve_index=False)
+    _write_frame(reader.metrics(), path)
+
+
+def _write_frame(frame: pd.DataFrame, path: Path) -> None:
+    table = pa.Table.from_pandas(frame, preserve_index=False)
     replace(path, lambda file: write_table(file, table), sync=False)
 
 

@@ -146,7 +146,7 @@ def test_an_export_that_is_refused_leaves_nothing_behind(store: Path, capsys, tm
         (["trash", "one", "three"], "no run 'three'"),
         (["export", "one", "--format", "xls"], "xls"),
         (["export", "one", "--without", "buffer"], "add --small"),
-        (["export", "one", "--small", "--format", "csv"], "leave out --format"),
+        (["export", "one", "--small", "--format", "csv"], "--format and --small"),
         (
             ["export", "one", "--small", "--keep", "buffer", "--without", "buffer"],
             "both name buffer",
