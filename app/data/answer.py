@@ -1,27 +1,33 @@
 """The three questions about a learner's weights, answered by the statistics of its runs.
 
-Where does it look? Is that where the policy goes? Does it help? Pure functions.
+Where does it look? Is that where the policy goes? Does it help?
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from app.data import buffer
+from app.data.cache import cached
 from app.data.exams import Exams, ranking
-from tom.analysis import scores, statistics
+from tom.analysis import planes, scores, statistics
 from tom.analysis.curves import Curve
 from tom.analysis.statistics import RANKED, Interval
 from tom.data.sampling import bin_means
 from tom.readable import percent, score, short
 from tom.record.decode import Profiles
+from tom.record.reader import RunReader
+from tom.record.task_record import dimension_names
 
 Floats = NDArray[np.float64]
 Word = Literal["yes", "no", "unclear", "unknown"]
 SIGNIFICANT = 0.05
 """the p below which two groups are said to differ"""
+STANDS_OUT = 0.1
+"""the least share of the log weights that a plane explains if a part of the buffer stands out"""
 NEWEST = 0.2
 """the share of the weight on the newest fifth if every transition counts the same"""
 
@@ -37,6 +43,31 @@ class Answer:
 
 
 @dataclass(frozen=True)
+class Contrast:
+    """The direction of (s, a, s') in which the weights of one fit differ most."""
+
+    seed: int
+    env_step: int
+    loadings: Mapping[str, int]
+    """the signs of its largest loadings by dimension; weight grows along it"""
+    explained: float
+    """the share of the log weights that the contrast plane explains (`tom.analysis.planes`)"""
+
+
+@cached("buffer", "snapshot")
+def contrast(run: RunReader, step: int) -> Contrast | None:
+    """That of the fit at `step`; None if its buffer is not kept."""
+    weighed = buffer.rows(run, step)
+    if weighed is None:
+        return None
+    names = dimension_names(run.env, weighed.rows, buffer.described(run))
+    table, features = planes.features(weighed.rows, *names)
+    plane = planes.contrast(table, weighed.weight, features)
+    share = planes.explained(plane.project(table), weighed.weight)
+    return Contrast(run.seed, step, planes.loadings(plane.axes[:, 0], features), share)
+
+
+@dataclass(frozen=True)
 class Side:
     """A group of runs that differ only in the seed; its runs' data, in one order (n,)."""
 
@@ -49,6 +80,8 @@ class Side:
     exams: Sequence[Exams]
     weighs_from: float
     """the step of the fit from which on every run weighs; -infinity if none does"""
+    contrast: Contrast | None
+    """that of the first run that keeps its buffer"""
 
     @property
     def runs(self) -> str:
@@ -87,11 +120,27 @@ def where(side: Side) -> Answer:
         f"buffer{_spread(newest)}; equal weights would put 20 %. The weights leave an effective "
         f"sample of {percent(left.value, 0)} of the rows ({_count(len(last))}, last fit)."
     )
+    if side.contrast is not None:
+        sentence += f" {_stands_out(side.contrast)}"
     if newest.low > NEWEST or (len(last) == 1 and newest.value > 1.5 * NEWEST):
         return Answer("yes", "At new data", sentence)
     if newest.high < NEWEST or (len(last) == 1 and newest.value < 0.5 * NEWEST):
         return Answer("no", "At old data", sentence)
     return Answer("unclear", "At no age more than at others", sentence)
+
+
+def _stands_out(seen: Contrast) -> str:
+    """Which part of the buffer has the weight, in names of dimensions."""
+    fit = f"seed {seen.seed}, step {seen.env_step:,}"
+    if seen.explained < STANDS_OUT:
+        return f"By state and action, no part of the buffer stands out ({fit})."
+    ways = [
+        f"{name} is {'higher' if sign > 0 else 'lower'}" for name, sign in seen.loadings.items()
+    ]
+    return (
+        f"The weight is where {' and '.join(ways)}: the plane in which weights differ most explains "
+        f"{percent(seen.explained, 0)} of the log weights ({fit})."
+    )
 
 
 def on_policy(side: Side) -> Answer:

@@ -105,15 +105,21 @@ def of_layer(hidden: NDArray, kind: str) -> Plane:
 
 
 def described(axis: NDArray, names: Sequence[str]) -> str:
-    """An axis (D,) by its largest loadings: `leg angle down, torso x velocity up`.
+    """An axis (D,) by its largest loadings: `leg angle down, torso x velocity up`."""
+    signs = loadings(axis, names).items()
+    return ", ".join(f"{name} {'up' if sign > 0 else 'down'}" for name, sign in signs)
+
+
+def loadings(axis: NDArray, names: Sequence[str]) -> dict[str, int]:
+    """The signs of an axis's largest loadings (D,) by name, the largest first.
 
     A dimension of s and the same of s' are one.
     """
-    largest: dict[str, str] = {}
-    for i in np.argsort(-np.abs(axis), kind="stable"):
+    largest: dict[str, int] = {}
+    for i in np.argsort(-np.abs(axis), kind="stable").tolist():
         if axis[i] != 0:
-            largest.setdefault(names[i].removeprefix("next "), "up" if axis[i] > 0 else "down")
-    return ", ".join(f"{name} {way}" for name, way in list(largest.items())[:NAMED])
+            largest.setdefault(names[i].removeprefix("next "), 1 if axis[i] > 0 else -1)
+    return dict(list(largest.items())[:NAMED])
 
 
 def explained(xy: NDArray, weight: NDArray) -> float:

@@ -7,7 +7,7 @@ import streamlit as st
 
 from app import session, text
 from app.data import answer, buffer, readers
-from app.data.answer import Answer, Side, newest_share
+from app.data.answer import Answer, Contrast, Side, newest_share
 from app.data.called import task
 from app.data.exams import exams_of
 from app.figures.base import across
@@ -182,7 +182,18 @@ def _side(title: str, runs: Sequence[RunReader]) -> Side:
             for run, frame in zip(runs, frames, strict=True)
         ],
         counted_from(frames),
+        _contrast(runs),
     )
+
+
+def _contrast(runs: Sequence[RunReader]) -> Contrast | None:
+    """That of the last kept fit of the first run that keeps its buffer."""
+    found = (
+        answer.contrast(run, run.snapshot_steps()[-1])
+        for run in runs
+        if run.snapshot_steps() and buffer.has_rows(run) and not _uniform(run)
+    )
+    return next(filter(None, found), None)
 
 
 def _grouped(scope: Scope, made: Sequence[tuple[RunReader, np.ndarray, np.ndarray]]) -> list[Group]:

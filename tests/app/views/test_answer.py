@@ -1,6 +1,7 @@
 """Answer: its three sentences hold the numbers that the runs' files give, computed another way."""
 
 import json
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -8,10 +9,12 @@ import numpy as np
 import pytest
 from studio_pages import draw, set_links
 
+import tom
 from app.data import answer
-from app.data.answer import Side
+from app.data.answer import Contrast, Side
 from app.links import Links
 from tom.analysis.curves import Curve
+from tom.envs import ENVS
 from tom.record.decode import Profiles
 
 RUNS = Path(__file__).parents[3] / "runs"
@@ -113,6 +116,25 @@ def test_returns_and_wins_are_those_of_all_pairs_and_p_of_all_arrangements(group
     assert f"{10 * wins(ours, theirs):.0f} times in 10 (p {p:.2g}" in told
 
 
+def test_the_weight_is_where_it_goes_most_with_a_dimension(groups, sentences):
+    path = next(path for path in groups[0] if (path / "buffer").is_dir())
+    run = tom.load(path.name, store=RUNS)
+    rows = run.rows()
+    log = np.log2(np.maximum(rows["weight"] / rows["weight"].mean(), 1 / 32))
+    among = rows.filter(regex="^(obs|action|next_obs)_").corrwith(log)
+    column = among.abs().idxmax()
+    name = ENVS["hopper"].obs_names[int(column.rpartition("_")[2])]
+    told = next(words for words in sentences if "newest fifth" in words)
+    assert f"where {name} is {'higher' if among[column] > 0 else 'lower'}" in told
+
+
+def test_no_part_stands_out_where_no_plane_explains_the_weights():
+    seen = Contrast(0, 100, {"speed": 1}, 0.3)
+    looks = [answer.where(replace(side([1.0]), contrast=replace(seen, explained=share))).sentence
+             for share in (0.3, 0.05)]  # fmt: skip
+    assert ["speed" in sentence for sentence in looks] == [True, False]
+
+
 def side(returns: list[float], newest: float = 0.5, *, uniform: bool = False) -> Side:
     """A group whose runs end at these returns, with a share of the weight on the newest fifth."""
     bins = np.array([[5 * (1 - newest) / 4] * 4 + [5 * newest]])
@@ -123,7 +145,7 @@ def side(returns: list[float], newest: float = 0.5, *, uniform: bool = False) ->
         for i, value in enumerate(returns)
     ]
     seeds = tuple(range(len(returns)))
-    return Side("ours", uniform, seeds, [profiles] * len(returns), curves, (), -np.inf)
+    return Side("ours", uniform, seeds, [profiles] * len(returns), curves, (), -np.inf, None)
 
 
 def test_five_seeds_that_all_win_help_and_four_cannot_tell():
