@@ -134,12 +134,13 @@ def _stands_out(seen: Contrast) -> str:
     fit = f"seed {seen.seed}, step {seen.env_step:,}"
     if seen.explained < STANDS_OUT:
         return f"By state and action, no part of the buffer stands out ({fit})."
-    ways = [
+    ways = " and ".join(
         f"{name} is {'higher' if sign > 0 else 'lower'}" for name, sign in seen.loadings.items()
-    ]
+    )
+    share = percent(seen.explained, 0)
     return (
-        f"The weight is where {' and '.join(ways)}: the plane in which weights differ most explains "
-        f"{percent(seen.explained, 0)} of the log weights ({fit})."
+        f"The weight is where {ways}: the plane in which weights differ most explains {share} of "
+        f"the log weights ({fit})."
     )
 
 

@@ -116,9 +116,9 @@ def loadings(axis: NDArray, names: Sequence[str]) -> dict[str, int]:
     A dimension of s and the same of s' are one.
     """
     largest: dict[str, int] = {}
-    for i in np.argsort(-np.abs(axis), kind="stable").tolist():
+    for i in np.argsort(-np.abs(axis), kind="stable"):
         if axis[i] != 0:
-            largest.setdefault(names[i].removeprefix("next "), 1 if axis[i] > 0 else -1)
+            largest.setdefault(names[int(i)].removeprefix("next "), 1 if axis[i] > 0 else -1)
     return dict(list(largest.items())[:NAMED])
 
 
