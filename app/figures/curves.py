@@ -42,6 +42,10 @@ from tom.learners import SUBJECT
 
 POINTS = 1500
 """maximum number of points of a line; the figure says if points were left out"""
+HOLLOW = 4.2
+"""the width of a hollow line"""
+CORE = "core"
+"""the name of the traces that are the insides of hollow lines"""
 LONGEST = 40
 """maximum number of characters of a group's title in the hover text"""
 
@@ -54,6 +58,8 @@ class Look:
     colour: str
     dash: str
     symbol: str
+    core: str = ""
+    """the paler colour inside a line that is hollow; its edge has the `colour`"""
 
 
 def looks_of(
@@ -71,11 +77,8 @@ def looks_of(
     learnt = sorted(kind for kind in tasks if kind.learner)
     if by in (USUAL, "learner"):
         return {
-            kind: Look(
-                _title(kind, tasks),
-                _shade(kind, "paper" if kind in offline else main_preset(kind.learner)),
-                "solid",
-                learner_symbol(kind.learner),
+            kind: _look(
+                kind, _title(kind, tasks), "paper" if kind in offline else main_preset(kind.learner)
             )
             for kind in sorted(tasks)
         }
@@ -114,18 +117,17 @@ def main_preset(learner: str) -> str:
     return "mended" if learner == SUBJECT else "paper"
 
 
-def _shade(kind: Kind, main: str) -> str:
-    """A group's colour: the hue of its learner, full for its `main` preset and else paler.
+def _look(kind: Kind, title: str, main: str) -> Look:
+    """A group's look: the hue of its learner, and a pale core unless it is of the `main` preset.
 
     It depends on nothing but the group itself, so that no filter changes it.
     """
     colour = learner_colour(kind.learner)
-    if kind.preset not in ("", main, "smoke"):
-        colour = mixed(colour, "#ffffff", 0.45)
     if kind.variant:
         level = int(blake2b(kind.variant.encode(), digest_size=1).hexdigest(), 16) / 255
         colour = mixed(mixed(colour, NEUTRAL, 0.5), "#000000", 0.4 * level)
-    return colour
+    core = "" if kind.preset in ("", main, "smoke") else mixed(colour, "#ffffff", 0.6)
+    return Look(title, colour, "solid", learner_symbol(kind.learner), core)
 
 
 def _order(kind: Kind) -> list[tuple[float, str]]:
@@ -232,7 +234,7 @@ def group_curves(
             traces += [_single(curve, look) for curve in group.curves]
         if (here := np.isfinite(group.low)).any():
             ends = smooth.step[here], smooth.low[here], smooth.high[here]
-            drawn_band = band(*ends, look.colour, _identity(smooth))
+            drawn_band = band(*ends, look.core or look.colour, _identity(smooth))
             traces.append(drawn_band.update(uid=_identity(smooth, "band"), name="band"))
         count = f"n = {group.n}" if group.n > 1 else "1 seed, no band"
         traces += _middle(smooth, f"{look.title} ({count})", look)
@@ -310,12 +312,12 @@ def _middle(group: Group, name: str, look: Look) -> list[go.Scatter]:
     statistic = {"mean": "mean", "median": "median", "iqm": "IQM"}[group.statistic]
     title = look.title if len(look.title) <= LONGEST else f"{look.title[: LONGEST - 3]}..."
     hover = f"<b>{text.plotly(title)}</b> {statistic}, n = %{{customdata}}: %{{y:.4g}}"
-    return [
+    lines = [
         line(
             group.step[here],
             value,
             look.colour,
-            2.6 if whole else 1.6,
+            (HOLLOW if look.core else 2.6) if whole else 1.6,
             f"{hover}<extra></extra>",
             dash=look.dash if whole else "dot",
             customdata=group.count[here],
@@ -329,6 +331,16 @@ def _middle(group: Group, name: str, look: Look) -> list[go.Scatter]:
         )
         for i, (here, value, whole) in enumerate(parts)
     ]
+    if look.core and full.any():
+        inside = core(group.step[full], group.mean[full], look)
+        inside.update(uid=_identity(group, "core"), meta=lines[0].meta)
+        lines.append(inside.update(legendgroup=_identity(group)))
+    return lines
+
+
+def core(x: NDArray, y: NDArray, look: Look) -> go.Scatter:
+    """The inside of a hollow line, drawn over it."""
+    return line(x, y, look.core, HOLLOW - 2.4, None, hoverinfo="skip", showlegend=False, name=CORE)
 
 
 def line_uid(of: Group | Curve) -> str:

@@ -11,6 +11,7 @@ from app.figures.curves import Axes, Look
 from tom.analysis.curves import Group
 from tom.analysis.settings import Kind
 
+MARK, HOLLOW_MARK = "\u25ac", "\u25ad"
 GAP, LETTER, ROOM = 15, 6.4, 14
 """pixels: least distance of two labels, a letter, and the room around a label"""
 
@@ -41,8 +42,9 @@ def label_ends(
     place = moved_apart((ys - low) / span * pixels, GAP)
     names = [f"{look.title} ({n})" for _, look, n in ends]
     for name, (_, look, _), at in zip(names, ends, place, strict=True):
+        mark = HOLLOW_MARK if look.core else MARK
         figure.add_annotation(
-            text=f'<span style="color:{look.colour}">\u25ac</span> {text.plotly(name)}',
+            text=f'<span style="color:{look.colour}">{mark}</span> {text.plotly(name)}',
             x=1, xref="paper", xanchor="left", xshift=6,
             y=low + at / pixels * span, yref="y", yanchor="middle", showarrow=False,
             font={"size": 12},

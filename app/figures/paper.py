@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 
-from app.figures.ends import moved_apart
+from app.figures.ends import HOLLOW_MARK, MARK, moved_apart
 
 WIDTHS = {"one": 3.4, "two": 7.0}
 """inches of one and of two columns"""
@@ -152,10 +152,12 @@ def _labels(axes: Axes, labels: Sequence[Mapping[str, Any]], points: float) -> N
     for one, place in zip(labels, moved_apart(points * np.array(at), 1.25 * TEXT), strict=True):
         height, colour = place / points, re.search(r"color:(#[0-9a-fA-F]{6})", one["text"])
         if colour:
-            axes.plot(
-                (1.015, 1.035), (height, height), transform=axes.transAxes, clip_on=False,
-                color=colour[1], linewidth=2,
-            )  # fmt: skip
+            parts = [(colour[1], 2.0)] + [("white", 1.0)] * (HOLLOW_MARK in one["text"])
+            for part, width in parts:
+                axes.plot(
+                    (1.015, 1.035), (height, height), transform=axes.transAxes, clip_on=False,
+                    color=part, linewidth=width,
+                )  # fmt: skip
         axes.text(1.05, height, _plain(one["text"]), transform=axes.transAxes, va="center")
 
 
@@ -198,4 +200,4 @@ def _rgba(colour: str) -> tuple[float, float, float, float]:
 
 def _plain(words: str) -> str:
     """A label without its HTML and the mark of its colour."""
-    return re.sub(r"<[^>]*>|\u25ac ?", "", words.replace("<br>", "\n")).strip()
+    return re.sub(f"<[^>]*>|[{MARK}{HOLLOW_MARK}] ?", "", words.replace("<br>", "\n")).strip()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from app import text
 from app.figures.base import band, line, styled, upright
-from app.figures.curves import Look
+from app.figures.curves import HOLLOW, Look, core
 from app.theme import NEUTRAL
 from tom.analysis.statistics import Interval
 
@@ -45,10 +45,12 @@ def profiles(
         if np.isfinite(one.low).any():
             figure.add_trace(band(x, _stairs(one.low), _stairs(one.high), colour, title))
         hover = f"{title}: %{{y:.0%}} of the runs above %{{x:.4g}}<extra></extra>"
-        stairs = _stairs(one.share)
+        stairs, width = _stairs(one.share), HOLLOW if one.look.core else 2.4
         figure.add_trace(
-            line(x, stairs, colour, 2.4, hover, dash=one.look.dash, name=title, legendgroup=title)
+            line(x, stairs, colour, width, hover, dash=one.look.dash, name=title, legendgroup=title)
         )
+        if one.look.core:
+            figure.add_trace(core(x, stairs, one.look).update(legendgroup=title))
     shares = {"range": [-0.02, 1.02], "tickformat": ".0%"}
     kept = f"profile {score} {keep}"
     return styled(figure, f"{score} above", height, keep=kept, y="share of runs", y_axis=shares)

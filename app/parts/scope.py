@@ -281,7 +281,9 @@ def _list(scope: Scope) -> None:
             ]  # fmt: skip
             if items:
                 hidden, folded = look.title in scope.hidden, look.title in scope.folded
-                groups.append(runlist.Group(look.title, look.colour, hidden, folded, items))
+                groups.append(
+                    runlist.Group(look.title, look.colour, look.core, hidden, folded, items)
+                )
         groups.sort(key=lambda group: group.folded)
         left = sum(run.run_id not in named for run in runs)
         return Section(title, groups, f"{left:,} more runs: search or filter" if left else "")

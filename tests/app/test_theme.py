@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from app.figures.curves import looks_of
+from app.figures.curves import Look, looks_of
 from app.scenes.solids import linear
 from app.theme import (
     BACKGROUND,
@@ -125,34 +125,38 @@ def test_a_group_s_look_is_the_same_whatever_is_shown_beside_it() -> None:
     for kind, look in looks.items():
         for beside in ([kind], [kinds[-1], kind], [k for k in kinds if k.preset == kind.preset]):
             again = looks_of(("hopper", one) for one in beside)[kind]
-            assert (again.colour, again.symbol) == (look.colour, look.symbol)
+            assert (again.colour, again.core) == (look.colour, look.core)
+            assert again.symbol == look.symbol
     for learner in ("tom", "mle", "pmac"):
         of_learner = {kind: look for kind, look in looks.items() if kind.learner == learner}
-        assert len({look.colour for look in of_learner.values()}) == len(of_learner)
+        drawn = {(look.colour, look.core) for look in of_learner.values()}
+        assert len(drawn) == len(of_learner)
 
 
 @pytest.mark.parametrize(("learner", "main"), [("tom", "mended"), ("mle", "paper")])
-def test_hue_is_the_learner_and_lightness_the_preset(learner: str, main: str) -> None:
-    def colour(preset: str, env: str = "hopper") -> str:
+def test_hue_is_the_learner_and_a_pale_core_the_other_preset(learner: str, main: str) -> None:
+    def look(preset: str, env: str = "hopper") -> Look:
         kind = Kind(learner, preset, "")
-        return looks_of([(env, kind)])[kind].colour
+        return looks_of([(env, kind)])[kind]
 
     def hue(colour: str) -> float:
         return rgb_to_hls(*(part / 255 for part in rgb(colour)))[0]
 
     (other,) = {"paper", "mended"} - {main}
-    assert colour(main) == colour("smoke") == learner_colour(learner)
-    assert colour("paper", ROAD) == learner_colour(learner)  # the main preset there
-    assert hue(colour(other)) == pytest.approx(hue(colour(main)), abs=0.02)
-    assert lab(light(colour(other)))[0] > lab(light(colour(main)))[0] + 10
+    for drawn in (look(main), look("smoke"), look("paper", ROAD)):  # the main preset there
+        assert (drawn.colour, drawn.core) == (learner_colour(learner), "")
+    hollow = look(other)
+    assert hollow.colour == learner_colour(learner)
+    assert hue(hollow.core) == pytest.approx(hue(hollow.colour), abs=0.02)
+    assert lab(light(hollow.core))[0] > lab(light(hollow.colour))[0] + 10
 
 
 @pytest.mark.parametrize("vision", VISION)
 def test_tom_as_printed_is_told_from_all_main_groups_by_every_eye(vision: str) -> None:
     kind = Kind("tom", "paper", "")
-    pale = lab(VISION[vision] @ light(looks_of([("hopper", kind)])[kind].colour))
+    core = lab(VISION[vision] @ light(looks_of([("hopper", kind)])[kind].core))
     others = [lab(VISION[vision] @ light(colour)) for colour in LEARNER_COLOURS.values()]
-    assert min(np.linalg.norm(pale - other) for other in others) >= 11
+    assert min(np.linalg.norm(core - other) for other in others) >= 14
 
 
 def test_an_unknown_learner_is_neutral_and_keeps_its_name() -> None:

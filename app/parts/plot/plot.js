@@ -103,12 +103,12 @@ const titled = (title) => (title?.text && !title.text.startsWith("Click to enter
 const drawnTraces = (plot) =>
   plot._fullData.filter(({ visible, type }) => visible === true && ["scatter", "scattergl", "bar", "heatmap"].includes(type));
 
-// Every drawn number, one line each, with the name of its trace.
+// Every drawn number, one line each, with the name of its trace; once, also that of a hollow line.
 function csv(plot) {
   const quoted = (value) => (/[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : value);
   const { xaxis, yaxis } = plot._fullLayout;
   const head = ["line", titled(xaxis?.title) || "x", titled(yaxis?.title) || plot.layout.meta?.y || "y", "value"];
-  const rows = drawnTraces(plot).flatMap(({ name, x, y, z }) =>
+  const rows = drawnTraces(plot).filter(({ name }) => name !== "core").flatMap(({ name, x, y, z }) =>
     z
       ? [...z].flatMap((row, j) => [...row].map((value, i) => [name, x[i], y[j], value]))
       : [...(x ?? [])].map((at, i) => [name, at, y[i], ""]),

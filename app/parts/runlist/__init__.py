@@ -24,10 +24,14 @@ class Item:
 
 @dataclass(frozen=True)
 class Group:
-    """A group and its runs; a `folded` one stands below the others, behind a line."""
+    """A group and its runs; `core` is the paler colour inside a hollow swatch.
+
+    A `folded` one stands below the others, behind a line.
+    """
 
     title: str
     colour: str
+    core: str
     hidden: bool
     folded: bool
     runs: Sequence[Item]

@@ -78,7 +78,8 @@ function group(root, given) {
   const count = make("span", "count", left < all ? `${left}/${all}` : String(all));
   count.title = `${left} of ${all} runs`;
   const swatch = make("i", "swatch");
-  swatch.style.background = given.colour;
+  swatch.style.background = given.core || given.colour;
+  swatch.style.borderColor = given.colour;
   head.append(eye(root, given.title, given.title, given.hidden), swatch, name, count);
   box.append(head, ...(open ? given.runs.map((run) => item(root, run, given)) : []));
   return box;

@@ -156,7 +156,8 @@ def test_the_list_has_names_colours_states_and_returns(own: Path) -> None:
     assert by_id["a"]["name"] == "TOM paper s0"
     assert by_id["a"]["state"] == "finished"
     assert by_id["a"]["returns"]
-    assert len({found[title]["colour"] for title in ("TOM paper", "TOM mended", "MLE")}) == 3
+    drawn = [found[title] for title in ("TOM paper", "TOM mended", "MLE")]
+    assert len({(group["colour"], group["core"]) for group in drawn}) == 3
 
 
 def test_filters_leave_the_runs_of_a_learner_or_a_state(own: Path) -> None:
