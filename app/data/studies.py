@@ -49,11 +49,15 @@ class Study:
     origin: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def question(self) -> str:
-        """That of the folder's name, else of the command, which may have written elsewhere."""
+    def verb(self) -> str:
+        """The folder's name, else that of the command, which may have written elsewhere."""
         words = self.origin.get("command", "").split()
         verb = words[2] if words[:2] == ["tom", "reproduce"] and len(words) > 2 else ""
-        return QUESTIONS.get(self.name, QUESTIONS.get(verb, ""))
+        return self.name if self.name in QUESTIONS else verb
+
+    @property
+    def question(self) -> str:
+        return QUESTIONS.get(self.verb, "")
 
 
 def folders(store: Path | str) -> tuple[Path, ...]:

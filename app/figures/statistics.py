@@ -8,9 +8,10 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
+from app.data.verdicts import Point
 from app.figures.base import band, line, styled, upright
 from app.figures.curves import HOLLOW, Look, core
-from app.theme import NEUTRAL
+from app.theme import NEUTRAL, learner_colour
 from tom.analysis.statistics import Interval
 
 LAST = 1.03  # of the axis of probabilities, where the column of p begins
@@ -54,6 +55,41 @@ def profiles(
     shares = {"range": [-0.02, 1.02], "tickformat": ".0%"}
     kept = f"profile {score} {keep}"
     return styled(figure, f"{score} above", height, keep=kept, y="share of runs", y_axis=shares)
+
+
+def intervals(
+    points: Sequence[Point], axis: str, level: float, height: int, keep: str
+) -> go.Figure:
+    """Results with their intervals, one below the other; `level` is that of no difference."""
+    lines = list(dict.fromkeys(point.line for point in points))[::-1]
+    series = list(dict.fromkeys(point.series for point in points))
+    figure = go.Figure()
+    for i, name in enumerate(series):
+        of = [point for point in points if point.series == name]
+        value, low, high = np.array([(one.value, one.low, one.high) for one in of]).T
+        below = ((len(series) - 1) / 2 - i) / (len(series) + 1)
+        colours = [learner_colour(one.learner) for one in of]
+        figure.add_scatter(
+            x=value,
+            y=[lines.index(one.line) + below for one in of],
+            mode="markers",
+            name=text.plotly(name),
+            marker={"size": 9, "color": colours, "symbol": [one.symbol for one in of],
+                    "line": {"color": colours, "width": 2}},
+            error_x={"type": "data", "symmetric": False, "array": np.nan_to_num(high - value),
+                     "arrayminus": np.nan_to_num(value - low), "color": NEUTRAL, "thickness": 1.6},
+            text=[
+                f"{text.plotly(one.series or one.line)}: {one.value:.3g}"
+                + (f" ({one.low:.3g} to {one.high:.3g})" if np.isfinite(one.low) else "")
+                for one in of
+            ],
+            hovertemplate="%{text}<extra></extra>",
+        )  # fmt: skip
+    ticks = {"tickvals": list(range(len(lines))), "ticktext": [text.plotly(one) for one in lines],
+             "range": [-0.6, len(lines) - 0.4], "showgrid": False, "title": ""}  # fmt: skip
+    styled(figure, axis, height, keep=keep, marks=[upright(level, 1.2, "dash")], y_axis=ticks)
+    legend = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"}
+    return figure.update_layout(showlegend=len(series) > 1, legend=legend)
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,17 @@ from app import session, text
 from app.data import studies, trainings
 from app.data.studies import QUESTIONS, Study
 from app.data.trainings import Started
+from app.data.verdicts import verdict
+from app.figures.statistics import intervals
 from app.parts import address, form
+from app.parts.plot import chart
 from app.parts.scope import Scope
 from tom.harmless import as_csv
 from tom.studies.study import FOLDER as CASES
 
 EVERY = "Every question"
+SIGNS = {"Yes": ":material/check_circle:", "No": ":material/cancel:",
+         "In part": ":material/contrast:", "No difference seen": ":material/help:"}  # fmt: skip
 SHORT = 20
 """maximum lines of a table that is shown unfolded; longer ones have single values"""
 LISTED = 200
@@ -44,15 +49,32 @@ def page(scope: Scope) -> None:
 
 
 def _card(study: Study) -> None:
-    """The question, the first sentence of the answer, and a picture."""
+    """The question, a verdict in a word and a sentence, its figure, and what speaks against it.
+
+    A study without a rule for a verdict has the first sentence of its report, and its picture.
+    """
     st.subheader(text.markdown(study.question or study.name), anchor=False)
-    if study.findings:
-        st.markdown(f"**{text.markdown(study.findings[0])}**")
-    for figure in study.figures[:1]:
-        if studies.is_picture(figure):
-            st.image(str(figure), alt=f"{figure.stem}: {study.question or study.name}")
+    if study.question and study.name != study.verb:
+        st.caption(text.markdown(study.name))
+    found = verdict(study)
+    if found is not None:
+        st.markdown(f"#### {SIGNS[found.word]} {found.word}")
+        st.markdown(text.markdown(found.sentence))
+        height = 110 + 22 * len(found.points)
+        figure = intervals(found.points, found.axis, found.level, height, study.name)
+        chart(figure, f"verdict {study.name}", f"{study.question}: {found.axis}")
+        st.markdown(f"**Against it.** {text.markdown(found.against)}")
+    else:
+        if study.findings:
+            st.markdown(f"**{text.markdown(study.findings[0])}**")
+        for figure in study.figures[:1]:
+            if studies.is_picture(figure):
+                st.image(str(figure), alt=f"{figure.stem}: {study.question or study.name}")
+    if "command" in study.origin:
+        with st.expander("The command"):
+            st.code(study.origin["command"], language="bash", wrap_lines=True)
     st.button(
-        "What speaks for and against it", key=f"open {study.name}",
+        "The whole study", key=f"open {study.name}",
         on_click=lambda: st.session_state.update(study=study.name),
     )  # fmt: skip
 
