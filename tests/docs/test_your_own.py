@@ -89,7 +89,7 @@ def test_the_exported_buffer_is_what_was_done(export: ModuleType, env: str, limi
     )  # fmt: skip
     model.learn(110)
     export.export_buffer(model, "buffer.npz")
-    rows = read_dataset("buffer.npz")
+    rows = read_dataset("buffer.npz").rows
     done = [np.array(part) for part in zip(*watched.steps[-75:], strict=True)]
     obs, action, next_obs, reward, terminated, truncated = done
     truncated[-1] = not terminated[-1]  # the recording stops there

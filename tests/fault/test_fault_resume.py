@@ -87,7 +87,7 @@ def test_killed_twice_before_the_next_checkpoint__what_the_first_resume_said_sta
     with pytest.raises(KeyboardInterrupt):
         resume(store, "a", accept_versions=True, rerun=False, watchers=(killed,))
     done = resume(store, "a", rerun=False)
-    assert [row["kind"] for row in done.notices()].count("versions") == 1
+    assert [row["code"] for row in done.notices()].count("versions") == 1
     assert any("torch 1.13.1 then" in text for text in done.status.warnings)
 
 
