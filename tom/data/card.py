@@ -355,7 +355,7 @@ CHECKS = (
         lambda c: (
             f"{c.ends_at_longest:,} episodes terminate after exactly {c.longest:,} steps"
             + (f", the limit of {c.task}" if c.longest == c.limit else ", and none lasts longer")
-            + ": a time limit recorded as a termination; it belongs into 'truncated' "
+            + ": a time limit recorded as a termination; it belongs in 'truncated' "
             "(stable-baselines3: handle_timeout_termination)"
         ),
     ),

@@ -73,12 +73,12 @@ def register(name: str, kind: type[Line] = Line, limit: int = LIMIT, **parts: ob
 
 
 LINE = register("Line")
-WIDE = register("Wide", limits=(0.0, 9e5), offset=np.full(2, 2.0))
-FAR = register("Far", offset=np.array([1.7e9, 0.0]), obs_type=np.float64)
-FLAT = register("Flat", scale=np.array([1.0, 1e-7]))
-TWICE = register("Twice", bounds=(-2.0, 2.0))
-LONG = register("Long", limit=400)
-RESTLESS, BOTH = register("Restless", Restless), register("Both", Both)
+WIDE = register("LineWide", limits=(0.0, 9e5), offset=np.full(2, 2.0))
+FAR = register("LineFar", offset=np.array([1.7e9, 0.0]), obs_type=np.float64)
+FLAT = register("LineFlat", scale=np.array([1.0, 1e-7]))
+TWICE = register("LineTwice", bounds=(-2.0, 2.0))
+LONG = register("LineLong", limit=400)
+RESTLESS, BOTH = register("LineRestless", Restless), register("LineBoth", Both)
 
 
 @cache
