@@ -318,8 +318,8 @@ CHECKS = (
         "few-rows",
         lambda c: c.rows < FEW_ROWS,
         lambda c: (
-            f"{c.rows} rows are too few for a network to learn from: record at least some "
-            f"{FEW_ROWS}, better thousands"
+            f"a buffer of size {c.rows} is too small for a network to learn from: record at "
+            f"least some {FEW_ROWS}, better thousands"
         ),
     ),
     Check(
