@@ -157,6 +157,11 @@ class Weighing:
         return weighing_files.notices(self.report)
 
     @property
+    def card(self) -> Mapping[str, Any]:
+        """The facts of the data, the policy and the task, and what contradicts itself."""
+        return self.report.get("card", {})
+
+    @property
     def random_share(self) -> float:
         """The share of the rows, starting with the oldest, that is random data."""
         return self.report["ordered_from"] / max(self.report["rows"], 1)

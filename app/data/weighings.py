@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from app import text
 from app.data.buffer import Rows
 from app.data.readers import reader
+from tom.data.card import sentence
 from tom.data.sampling import bin_means
 from tom.data.unpack import DAMAGE, read_arrays
 from tom.envs import is_code
@@ -130,6 +131,11 @@ class Weighing:
     def notices(self) -> list[str]:
         """What the learners noticed about their weights."""
         return weighing_files.notices(self.report)
+
+    @property
+    def card(self) -> str:
+        """The facts of the data in one line; empty in older reports."""
+        return sentence(self.report.get("card", {}))
 
     @property
     def keeps_rows(self) -> bool:

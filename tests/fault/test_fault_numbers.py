@@ -32,7 +32,7 @@ def warned(path: Path, made: OnlineConfig, kind: str) -> RunReader:
     """The record of a training that ends well and with one warning of this kind."""
     run = train(made, Store(path), "a", rerun=False)
     assert run.status.state == "finished"
-    [notice] = [notice for notice in run.notices() if notice["kind"] == kind]
+    [notice] = [notice for notice in run.notices() if notice["code"] == kind]
     assert f"step {notice['env_step']}: {notice['message']}" in run.status.warnings
     return run
 
@@ -167,4 +167,4 @@ def test_a_warning_outlives_a_resume__and_comes_once(tmp_path: Path):
     made = config(steps=60, exploration_steps=5, fit_every=5)
     train(made, Store(tmp_path), "a", rerun=False)
     run = resume(Store(tmp_path), "a", steps=100, rerun=False)
-    assert sum(notice["kind"] == "small-buffer" for notice in run.notices()) == 1
+    assert sum(notice["code"] == "small-buffer" for notice in run.notices()) == 1

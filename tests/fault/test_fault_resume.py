@@ -68,7 +68,7 @@ def test_another_version_of_what_decides_the_results__is_refused_until_it_is_acc
     assert error.count("\n") == 1
     assert {p: p.read_bytes() for p in store.path.rglob("*") if p.is_file()} == before
     assert main([*words, "--accept-versions"]) == 0
-    assert f"{package} {version} then" in capsys.readouterr().out
+    assert f"{package} {version} then" in capsys.readouterr().err
     done = store.run("a")
     assert any(f"{package} {version} then" in text for text in done.status.warnings)
     assert_same_record(store.run("whole"), done)
@@ -87,7 +87,7 @@ def test_killed_twice_before_the_next_checkpoint__what_the_first_resume_said_sta
     with pytest.raises(KeyboardInterrupt):
         resume(store, "a", accept_versions=True, rerun=False, watchers=(killed,))
     done = resume(store, "a", rerun=False)
-    assert [row["kind"] for row in done.notices()].count("versions") == 1
+    assert [row["code"] for row in done.notices()].count("versions") == 1
     assert any("torch 1.13.1 then" in text for text in done.status.warnings)
 
 

@@ -21,6 +21,7 @@ ROOMS = {  # from the top down; docs/architecture.md draws the same tree
         "sweep",
         "studies",
         "studio",
+        "integrations",
         "frames",
         "reports",
         "analysis",

@@ -9,11 +9,13 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tom.data.datasets import FORMATS, initial_obs, read_dataset
+from tom.data.card import Card, take, with_rule
+from tom.data.datasets import initial_obs, read_dataset, where_else
 from tom.data.transitions import TensorTransitions, Transitions
 from tom.envs import ENVS, ROAD, GymnasiumTask, Task, task
 from tom.errors import UserError
 from tom.record import RunReader, Store, layout
+from tom.record.task_record import changed
 
 SLACK = 1e-3
 """share of an action's range by which rounding may carry it beyond its bounds"""
@@ -25,7 +27,8 @@ class OrderedData:
 
     `policy_version` (N,) says which policy collected each row. If that is not known, every row has
     a version of its own, as in SAC, which changes after every step. `initial_obs` (M0, O) are the
-    first observations of the episodes. `stored`: the rows belong to the run `name` in the store.
+    first observations of the episodes; `card` is that of the ordered rows. `stored`: the rows
+    belong to the run `name` in the store.
     """
 
     name: str
@@ -33,6 +36,7 @@ class OrderedData:
     transitions: TensorTransitions
     policy_version: Tensor
     initial_obs: Tensor
+    card: Card
     ordered_from: int  # rows before it are random data
     stored: bool = False
 
@@ -54,7 +58,9 @@ def load_data(
     if run is not None:
         return of_run(run, step)
     if not Path(name).exists():
-        raise UserError(f"no data '{name}': name a run of {store.path}/, a run folder, {FORMATS}")
+        raise UserError(
+            f"no data '{name}': name a run of {store.path}/ or a run folder; {where_else(name)}"
+        )
     if step is not None:
         raise UserError(
             f"--step {step} is a step of a run, and {name} is none: leave it out, and name "
@@ -68,24 +74,56 @@ def load_data(
 def _of_dataset(name: str, env: str) -> OrderedData:
     """The transitions of a dataset, which were recorded in the own units of the task `env`."""
     known = task(env)
-    rows = read_dataset(name)
+    recording = read_dataset(name)
+    rows, version = recording.rows, recording.policy_version
     _check_dims(name, rows, known)
     _check_bounds(name, np.asarray(rows.action), known)
-    rows = replace(rows, action=to_unit_range(np.asarray(rows.action), known))
-    if isinstance(known, GymnasiumTask):
-        rows = replace(
-            rows,
-            obs=known.unit_obs(np.asarray(rows.obs)),
-            next_obs=known.unit_obs(np.asarray(rows.next_obs)),
-        )
+    unit_obs = known.unit_obs if isinstance(known, GymnasiumTask) else np.asarray
+    rows = replace(
+        rows,
+        action=to_unit_range(np.asarray(rows.action), known),
+        obs=unit_obs(np.asarray(rows.obs)),
+        next_obs=unit_obs(np.asarray(rows.next_obs)),
+    ).torch()
     return OrderedData(
         name=Path(name).stem,
         env=env,
-        transitions=rows.torch(),
-        policy_version=torch.arange(len(rows)),
+        transitions=rows,
+        policy_version=torch.arange(len(rows)) if version is None else torch.from_numpy(version),
         initial_obs=torch.as_tensor(initial_obs(rows)),
+        card=of_task(recording.card, known, rows),
         ordered_from=0,
     )
+
+
+def of_task(card: Card, known: Task, rows: Transitions) -> Card:
+    """The card beside what the task says of itself; its `rows` are as agents see them."""
+    seen = card.obs
+    if isinstance(known, GymnasiumTask):
+        offset, scale = np.array(known.obs_offset), np.array(known.obs_scale)
+        seen = seen.moved(-offset / scale, 1 / scale)
+    card = replace(
+        card,
+        task=known.name,
+        limit=known.max_episode_steps,
+        bounds=action_bounds(known),
+        seen=seen,
+        others=known.notices,
+    )
+    if not known.knows_ends:
+        return card
+    return with_rule(card, known.terminated, rows.torch(), f"of {known.name}")
+
+
+def card_of_run(rows: Transitions, known: Task) -> Card:
+    """The card of rows that a run collected, in the task's own units."""
+    low, high = (bound.astype(np.float64) for bound in action_bounds(known))
+    card = take(rows)
+    card = replace(card, action=card.action.moved((high + low) / 2, (high - low) / 2))
+    if isinstance(known, GymnasiumTask):
+        units = np.array(known.obs_offset), np.array(known.obs_scale)
+        card = replace(card, obs=card.obs.moved(*units), starts=card.starts.moved(*units))
+    return of_task(card, known, rows)
 
 
 def of_run(run: RunReader, step: int | None = None) -> OrderedData:
@@ -104,7 +142,8 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
         nothing = "left out of this small copy" if lacking else "it collected nothing"
         reason = "; ".join(run.problems) or nothing
         raise UserError(f"the replay buffer of run {run.run_id} cannot be used: {reason}")
-    _check_dims(run.run_id, rows, task(run.env))
+    known = task(run.env)
+    _check_dims(run.run_id, rows, known)
     settings = run.config.get("config", {})
     random_rows = int(settings.get("exploration_steps" if run.fits_model else "steps", 0))
     if not run.is_run:
@@ -113,13 +152,18 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
     starts = initial_obs(rows[: kept.stop])  # also of episodes whose rows have left the buffer
     rows, version = rows[kept], version[kept]
     random_rows -= kept.start or 0
+    first = max(min(random_rows, len(rows) - 1), 0)
+    card = card_of_run(rows, known)
+    if (notice := changed(run)) is not None:
+        card = replace(card, others=(*card.others, notice))
     return OrderedData(
         name=run.run_id if run.is_run else str(run.config.get("data", run.run_id)),
         env=run.env,
         transitions=rows.torch(),
         policy_version=torch.from_numpy(version),
         initial_obs=torch.as_tensor(starts),
-        ordered_from=max(min(random_rows, len(rows) - 1), 0),
+        card=card,
+        ordered_from=first,
         stored=run.is_run,  # a weighing's folder also holds rows
     )
 
@@ -153,6 +197,7 @@ def after_random(random: OrderedData, ordered: OrderedData) -> OrderedData:
         transitions=rows,
         policy_version=torch.cat((torch.zeros(n, dtype=version.dtype), version)),
         initial_obs=torch.as_tensor(initial_obs(rows)),
+        card=ordered.card,
         ordered_from=n,
     )
 

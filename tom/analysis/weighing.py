@@ -5,7 +5,7 @@ come from another library. The policy's footprint is collected in the real envir
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tom.analysis.ordered_data import OrderedData, action_bounds, after_random, find_run, load_data
 from tom.config import ModelConfig, RunConfig, TomConfig, in_words
+from tom.data.card import PolicyFacts
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.base import DynamicsModel
@@ -31,6 +32,8 @@ from tom.training import presets
 from tom.training.resume import recorded_config
 
 RANDOM = "random"
+ASKED = 1000
+"""observations of the data that a policy is asked about, for its card"""
 PolicyOfInterest = StoredPolicy | UniformPolicy | ForeignPolicy
 POLICIES = (
     "a run (id or folder), its policy.npz, a TorchScript (.pt) or ONNX file, a function "
@@ -265,10 +268,11 @@ def plan_weighing(
     for learner in learners:
         if learner not in LEARNERS:
             raise unknown("learner", learner, LEARNERS)
+    by = load_policy(policy, store, known, step)
     return WeighingPlan(
-        data=rows,
+        data=replace(rows, card=replace(rows.card, policy=asked(by, rows))),
         known=known,
-        policy=load_policy(policy, store, known, step),
+        policy=by,
         config=config,
         preset=preset,
         learners=tuple(dict.fromkeys(learners)),
@@ -276,6 +280,14 @@ def plan_weighing(
         footprint=footprint,
         changed={path: value for path, value in now.items() if before.get(path) != value},
     )
+
+
+def asked(policy: PolicyOfInterest, data: OrderedData) -> PolicyFacts | None:
+    """What a policy of another library answers to the data's observations; None for ours."""
+    if not isinstance(policy, ForeignPolicy):
+        return None
+    obs = data.transitions.obs
+    return policy.facts(obs[:: max(len(obs) // ASKED, 1)][:ASKED])
 
 
 def _data(

@@ -1,5 +1,6 @@
 """Progress of a long command: a picture that is redrawn on a terminal, plain lines elsewhere."""
 
+import sys
 from abc import ABC, abstractmethod
 from time import monotonic
 from typing import Self, TextIO
@@ -9,6 +10,7 @@ from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from tom.events import Evaluation, Event, Notice, Tick
+from tom.harmless import terminal
 from tom.readable import duration, score
 
 PICTURE_EVERY_S = 1.0
@@ -103,7 +105,8 @@ class ProgressReport(BarDisplay):
         if isinstance(event, Evaluation):
             self._returns.append(event.mean_return)
         elif isinstance(event, Notice):
-            self.print(f"{self.label} step {event.env_step}: {event.message}")
+            line = f"{self.label} step {event.env_step}: {event.message}"
+            print(terminal(line), file=sys.stderr)  # above the picture, which takes it over
         elif isinstance(event, Tick):
             self._phase = event.phase
             self._bar.update(self.task.id, completed=event.env_step, text=self._text())

@@ -18,6 +18,7 @@ from tom.harmless import terminal
 from tom.readable import score, short
 from tom.record import RunReader, Status, Store, manage, small_copy
 from tom.record.export import EXPORTERS, export, export_rows, export_small
+from tom.record.files import plain
 from tom.record.labels import Labels
 from tom.record.layout import WEIGHINGS
 from tom.record.thin import OPTIONAL, SERIES
@@ -154,9 +155,13 @@ def list_runs(args: argparse.Namespace) -> int:
 
 def show_run(args: argparse.Namespace) -> int:
     run = Store(args.store).run(args.run_id)
-    row = _row(run, run.status)
+    from tom.data.card import sentence
+    from tom.record.task_record import card_of  # tasks take a second to import
+
+    row, card = _row(run, run.status), card_of(run)
     if args.json:
-        print(json.dumps({**row, "note": run.labels.note, "description": run.config}))
+        more = {"note": run.labels.note, "description": run.config, "card": plain(card)}
+        print(json.dumps({**row, **more}, allow_nan=False))
         return 0
     row["state"] = run.shown
     del row["small_copy"]  # the state says so
@@ -167,6 +172,8 @@ def show_run(args: argparse.Namespace) -> int:
     if len(last):
         values = last.iloc[0].to_dict()
         show("last metrics", ("metric", "value"), [(k, short(v, 6)) for k, v in values.items()])
+    if card:
+        print(sentence(card))
     for notice in run.notices():
         print(terminal(f"step {notice.get('env_step')}: {notice.get('message')}"))
     return 0

@@ -14,6 +14,7 @@ from tom.cli.parser import add_run_options, add_training_options, named, one_lin
 from tom.cli.progress import ProgressReport
 from tom.cli.sweep import drive
 from tom.cli.tables import summary
+from tom.data.card import sentence
 from tom.envs import ANY, ENV_NAMES
 from tom.errors import (
     FAILED,
@@ -31,6 +32,7 @@ from tom.readable import percent, score, size
 from tom.record import RunReader, Store, checkpoint, manage
 from tom.record.files import size_of
 from tom.record.lock import BusyError
+from tom.record.task_record import card_of
 from tom.record.writer import TakenError
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
@@ -251,6 +253,8 @@ def _print_summary(run: RunReader, as_json: bool) -> None:
         f"{row['run_id']}: {row['state']} after {row['env_step']} steps, last return "
         f"{score(row['last_return'])}, best {score(row['best_return'])}: {terminal(row['path'])}"
     )
+    if card := card_of(run):
+        print(sentence(card))
     table = run.metrics()
     spent, wall = table.get("time/checkpoint_s"), table.get("time/wall_s")
     share = spent.max() / wall.max() if spent is not None and wall is not None else 0.0

@@ -24,6 +24,7 @@ from tom.cli.parser import (
 )
 from tom.cli.progress import CountReport
 from tom.cli.tables import show
+from tom.data.card import sentence
 from tom.data.datasets import FORMATS
 from tom.envs import ANY, ENVS
 from tom.learners import LEARNERS, WEIGHED_FIRST
@@ -139,6 +140,7 @@ def _print(report: dict[str, Any], out: Path) -> None:
     ]
     at = "" if report["step"] is None else f" at step {report['step']}"
     title = f"{report['data']}, weighed by {report['policy']}{at}"
+    print(sentence(report["card"]))
     show(title, ("learner", "seed", *(c.replace("_", " ") for c in COLUMNS)), rows)
     print(FOOTPRINT)
     print(out)

@@ -7,7 +7,8 @@ not lead to other files of this machine.
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import h5py
@@ -16,14 +17,17 @@ import pyarrow as pa
 import pyarrow.dataset
 from numpy.typing import NDArray
 
+from tom.data.card import UNORDERED, Card, successive, take
 from tom.data.transitions import Transitions
-from tom.data.unpack import DAMAGE, read_arrays, read_columns
+from tom.data.unpack import DAMAGE, read_columns
 from tom.errors import UserError, reason
 from tom.machine.memory import ran_out
 
 FORMATS = "an .npz or Parquet file of transitions, a D4RL file (.hdf5) or a Minari folder"
 AXES = {"obs": 2, "action": 2, "reward": 1, "next_obs": 2, "terminated": 1, "truncated": 1}
 """the columns, with their number of axes"""
+VERSION = "policy_version"
+"""one column more, if it is there: which policy collected the row"""
 ALIASES = {
     "observations": "obs",
     "actions": "action",
@@ -38,21 +42,34 @@ ALIASES = {
 EPISODE = ("observations", "actions", "rewards", "terminations", "truncations")
 """the arrays of a Minari episode: one observation more than steps"""
 _PICKLES = (".pkl", ".pickle", ".zip", ".pt", ".pth")
+_MINARI_ID = re.compile(r"[\w-]+(/[\w-]+)*-v\d+")
 _NUMBERED = re.compile(r"(.+)_(\d+)")
 
 Columns = dict[str, NDArray]
 
 
-def read_dataset(path: str | Path) -> Transitions:
-    """The transitions of a dataset (FORMATS), in the order of collection.
+@dataclass(frozen=True)
+class Recording:
+    """The transitions of a dataset, in the order of collection, and their card.
 
     An episode whose recording stops without a terminal state is marked as truncated, so that a row
-    after a terminated or truncated one always starts an episode. Actions are in the recorded task's
-    own units. Raises UserError.
+    after a terminated or truncated one always starts an episode. Numbers have the precision of the
+    file, actions the recorded task's own units. `policy_version` (N,) is None if it is not known.
     """
+
+    rows: Transitions
+    card: Card
+    policy_version: NDArray[np.int64] | None = None
+
+
+def read_dataset(path: str | Path) -> Recording:
+    """The content of a dataset (FORMATS). Raises UserError."""
     path = Path(path)
     if not path.exists():
-        raise UserError(f"no data at {path}: give {FORMATS}")
+        raise UserError(f"no data at {path}: {where_else(str(path))}")
+    if path.parent.name == "buffer" and (path.absolute().parents[1] / "config.json").is_file():
+        run = path.absolute().parents[1]
+        raise UserError(f"{path} is a part of the run {run.name}, in its units: name the run")
     try:
         return _assembled(path, _columns_of(path))
     except DAMAGE as error:
@@ -61,6 +78,16 @@ def read_dataset(path: str | Path) -> Transitions:
         raise UserError(
             f"{path} cannot be read ({reason(error)}): write it again, or download it again"
         ) from error
+
+
+def where_else(name: str) -> str:
+    """What to give in place of `name`, where there is nothing."""
+    if not _MINARI_ID.fullmatch(name):
+        return f"give {FORMATS}"
+    return (
+        f"if it is a Minari id, `minari download {name}` and give the folder "
+        f"~/.minari/datasets/{name}"
+    )
 
 
 def initial_obs(transitions: Transitions) -> np.ndarray:
@@ -77,41 +104,45 @@ def _columns_of(path: Path) -> Columns:
     if path.is_dir():
         return _minari(path)
     if path.suffix == ".npz":
-        return _checked(path, read_arrays(path, _is_wanted))
+        with np.load(path, allow_pickle=False) as archive:
+            names = archive.files
+            arrays = {name: archive[name] for name in filter(_is_wanted, names)}
+        return _checked(path, arrays, names)
     if path.suffix == ".parquet":
-        return _checked(path, _parquet(path))
+        return _parquet(path)
     if path.suffix in (".hdf5", ".h5", ".hdf"):
         with h5py.File(path, "r") as file:
-            names = filter(_is_wanted, map(str, file))
-            return _checked(path, {name: _stored(file, name) for name in names})
+            names = list(map(str, file))
+            arrays = {name: _stored(file, name) for name in filter(_is_wanted, names)}
+        return _checked(path, arrays, names)
     if path.suffix in _PICKLES:
         raise UserError(
             f"{path} may hold pickles, which are code and are not loaded: export the transitions "
-            "to .npz (docs/your-own.md has ten lines for stable-baselines3)"
+            "to .npz (for stable-baselines3: tom.integrations.sb3.export_buffer)"
         )
     raise UserError(f"{path} is of no kind that can be read here: give {FORMATS}")
 
 
 def _is_wanted(name: str) -> bool:
-    return ALIASES.get(name, name) in AXES
+    return ALIASES.get(name, name) in (*AXES, VERSION)
 
 
 def _parquet(path: Path) -> Columns:
     """Vectors are lists of equal length in a column, or numbered columns: `obs_0`, `obs_1`, ..."""
-    table = read_columns(path)
+    table, names = read_columns(path, lambda name: _is_wanted(_NUMBERED.sub(r"\1", name)))
     columns: Columns = {}
     numbered: dict[str, dict[int, NDArray]] = {}
     for name in table.column_names:
         match = _NUMBERED.fullmatch(name)
-        if match and _is_wanted(match[1]):
+        if match and not _is_wanted(name):
             numbered.setdefault(match[1], {})[int(match[2])] = _arrow(table, name)
-        elif _is_wanted(name):
+        else:
             columns[name] = _arrow(table, name)
     for name, parts in numbered.items():
         if sorted(parts) != list(range(len(parts))):
             raise UserError(f"{path}: columns {name}_... are not numbered from 0 without a gap")
         columns[name] = np.stack([parts[i] for i in range(len(parts))], 1)
-    return columns
+    return _checked(path, columns, names)
 
 
 def _arrow(table: pa.Table, name: str) -> NDArray:
@@ -125,8 +156,10 @@ def _arrow(table: pa.Table, name: str) -> NDArray:
         fixed = isinstance(stored, pa.FixedSizeListArray)
         if not fixed and (np.diff(stored.offsets.to_numpy()) != width).any():
             raise ValueError(f"the lists of column '{name}' differ in length")
-        return inner.to_numpy(zero_copy_only=False).reshape(len(stored), width)
-    return stored.to_numpy(zero_copy_only=False)
+        return np.array(inner.to_numpy(zero_copy_only=False)).reshape(len(stored), width)
+    if pa.types.is_decimal(stored.type):
+        stored = stored.cast(pa.float64())
+    return np.array(stored.to_numpy(zero_copy_only=False))
 
 
 def _member(group: h5py.Group, name: str) -> object:
@@ -202,13 +235,16 @@ def _episode(where: str, arrays: Columns) -> Columns:
             f"{where}: {len(obs)} observations for {len(columns['reward'])} steps: cut short? "
             "Download it again"
         )
-    truncated = columns["truncated"].copy()
-    truncated[-1:] = 1
+    truncated = columns["truncated"].astype(bool)
+    truncated[-1:] |= ~columns["terminated"][-1:].astype(bool)
     return {**columns, "truncated": truncated, "obs": obs[:-1], "next_obs": obs[1:]}
 
 
-def _checked(path: Path, given: Columns) -> Columns:
-    """The columns by our names, of equal length; `next_obs` or `truncated` may be missing."""
+def _checked(path: Path, given: Columns, names: Iterable[str]) -> Columns:
+    """The columns by our names, of equal length; `next_obs` or `truncated` may be missing.
+
+    `names` are those of all columns of the file.
+    """
     columns: Columns = {}
     for name, values in given.items():
         known = ALIASES.get(name, name)
@@ -219,10 +255,9 @@ def _checked(path: Path, given: Columns) -> Columns:
     if "next_obs" not in columns and "truncated" not in columns:
         missing.append("next_obs or truncated")
     if missing:
-        has = ", ".join(given) or "none of them"
         raise UserError(
-            f"{path} lacks {', '.join(missing)} (it has {has}): its columns are to be "
-            + ", ".join(AXES)
+            f"{path} lacks {', '.join(missing)} (it has {', '.join(names) or 'nothing'}): "
+            + _way_on(set(names))
         )
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
@@ -236,9 +271,24 @@ def _checked(path: Path, given: Columns) -> Columns:
     return columns
 
 
-def _numbers(where: str | Path, name: str, values: NDArray) -> NDArray[np.float32]:
-    """A column as float32; a trailing axis of length one may be dropped."""
-    axes = AXES[ALIASES.get(name, name)]
+def _way_on(names: set[str]) -> str:
+    """What to do with a file that has columns of these names, and not ours."""
+    if "observations_0" in names:
+        return (
+            "d3rlpy keeps its episodes apart: write one row a step with numpy.savez, the columns "
+            + ", ".join(AXES)
+        )
+    if names & {"dones", "done"}:
+        return (
+            "'dones' does not tell a terminal state from a time limit: write 'terminated', 1 where "
+            "the task ended, and 'truncated', 1 where only the recording did"
+        )
+    return f"its columns are to be {', '.join(AXES)}"
+
+
+def _numbers(where: str | Path, name: str, values: NDArray) -> NDArray:
+    """A column of numbers in its own precision; a trailing axis of length one may be dropped."""
+    axes = AXES.get(ALIASES.get(name, name), 1)
     if axes == 1 and values.ndim == 2 and values.shape[1] == 1:
         values = values[:, 0]
     if values.ndim != axes or values.dtype.kind not in "biuf":
@@ -247,35 +297,38 @@ def _numbers(where: str | Path, name: str, values: NDArray) -> NDArray[np.float3
             f"{where}: '{name}' is {values.dtype} of shape {values.shape}, not numbers of shape "
             f"{wanted}: only flat observations and actions are read, a row for each transition"
         )
-    with np.errstate(over="ignore"):  # overflow gives infinity, which is reported later
-        return values.astype(np.float32, copy=False)
+    kept = values.dtype.kind == "f" and values.dtype.itemsize <= 8
+    return values.astype(values.dtype.newbyteorder("=") if kept else np.float64, copy=False)
 
 
-def _assembled(path: Path, columns: Columns) -> Transitions:
-    """Columns of N > 0 rows as transitions.
+def _assembled(path: Path, columns: Columns) -> Recording:
+    """Columns of N > 0 rows as a recording.
 
-    Without `truncated` an episode ends where the next row's obs is not this row's next_obs. Without
-    `next_obs` the observation of the next row is used, but never across episodes: the last row of
-    each episode is dropped, and the row before it is marked as truncated.
+    Without `truncated` an episode ends where the next row's obs is not this row's next_obs, unless
+    rows seem to be in no order at all. Without `next_obs` the observation of the next row is used,
+    but never across episodes: the last row of each episode is dropped, and the row before it is
+    marked as truncated.
     """
     for name, values in columns.items():
-        wrong = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(1))
-        if len(wrong):
-            raise UserError(
-                f"{path}: '{name}' is not finite in {len(wrong)} rows, first in row {wrong[0]}: "
-                "leave out the episodes that hold them"
-            )
+        _check_values(path, name, values)
     obs, action, reward, flag = (columns[n] for n in ("obs", "action", "reward", "terminated"))
-    terminated = flag != 0
+    terminated, next_obs = flag != 0, columns.get("next_obs")
+    version = columns.get(VERSION)
+    version = None if version is None else version.astype(np.int64)
     if "truncated" in columns:
         cut = columns["truncated"] != 0
     else:
-        cut = np.append((columns["next_obs"][:-1] != obs[1:]).any(axis=1), True)
-    cut[-1] = True
-    if "next_obs" in columns:
-        following = columns["next_obs"]
-        return Transitions(obs, action, reward, following, terminated, cut & ~terminated)
+        assert next_obs is not None
+        cut = np.append(~successive(obs, next_obs), True) & ~terminated
+        if cut.sum() > max(UNORDERED * len(obs), 1):
+            cut[:] = False
+    if next_obs is not None:
+        raw = Transitions(obs, action, reward, next_obs, terminated, cut)
+        resolved = cut & ~terminated
+        resolved[-1] = not terminated[-1]
+        return Recording(replace(raw, truncated=resolved), take(raw), version)
     ends = terminated | cut
+    ends[-1] = True
     kept = np.flatnonzero(~ends)
     if not len(kept):
         raise UserError(
@@ -283,4 +336,25 @@ def _assembled(path: Path, columns: Columns) -> Transitions:
             "has no successor then: record 'next_obs' too, or longer episodes"
         )
     never = np.zeros(len(kept), bool)
-    return Transitions(obs[kept], action[kept], reward[kept], obs[kept + 1], never, ends[kept + 1])
+    rows = Transitions(obs[kept], action[kept], reward[kept], obs[kept + 1], never, ends[kept + 1])
+    card = replace(take(rows, ordered=False), lost=int(terminated.sum()))
+    return Recording(rows, card, None if version is None else version[kept])
+
+
+def _check_values(path: Path, name: str, values: NDArray) -> None:
+    """Raises UserError for numbers beyond single precision, and flags other than 0 and 1."""
+    with np.errstate(over="ignore"):
+        finite = np.isfinite(values.astype(np.float32, copy=False))
+    wrong = np.flatnonzero(~finite.reshape(len(values), -1).all(1))
+    if len(wrong):
+        raise UserError(
+            f"{path}: '{name}' is not finite in {len(wrong)} rows, first in row {wrong[0]}: "
+            "leave out the episodes that hold them"
+        )
+    if name in ("terminated", "truncated"):
+        strange = np.flatnonzero((values != 0) & (values != 1))
+        if len(strange):
+            raise UserError(
+                f"{path}: '{name}' is {values[strange[0]]:g} in row {strange[0]}, and other than 0 "
+                f"and 1 in {len(strange)} rows: write 1 where it holds, 0 elsewhere"
+            )

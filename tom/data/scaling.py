@@ -10,7 +10,10 @@ from torch import Tensor
 
 from tom.data.transitions import TensorTransitions
 
-MIN_STD = 1e-6  # a constant column is centred and left unscaled
+MIN_STD = 1e-6
+"""a column is constant, centred and left unscaled, if its spread is below this, and below
+`ROUNDING` of its mean or `NOTHING`"""
+ROUNDING, NOTHING = 1e-4, 1e-12
 AT_ONCE = 4  # columns gathered at once, which bounds the memory to a few columns
 
 
@@ -36,10 +39,9 @@ class Scaling:
         if change:
             moments.append(column_moments(*change, rows))
         std, mean = zip(*moments, strict=True)
-        spread = torch.cat(std)
-        return Scaling(
-            torch.cat(mean), torch.where(spread < MIN_STD, torch.ones_like(spread), spread)
-        )
+        spread, centre = torch.cat(std), torch.cat(mean)
+        constant = (spread < MIN_STD) & (spread < (ROUNDING * centre.abs()).clamp(min=NOTHING))
+        return Scaling(centre, torch.where(constant, torch.ones_like(spread), spread))
 
     @staticmethod
     def of_moves(rows: TensorTransitions) -> Scaling:

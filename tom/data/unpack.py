@@ -38,8 +38,8 @@ _FOR_NOW = (
     errno.ENODEV, errno.ENXIO, errno.EREMOTEIO, errno.EHOSTDOWN, errno.EMFILE, errno.ENFILE,
 )  # fmt: skip
 
-NUMBERS = {"BOOLEAN", "INT32", "INT64", "FLOAT", "DOUBLE"}
-"""Parquet's physical types of a fixed width"""
+NUMBERS = {"BOOLEAN", "INT32", "INT64", "FLOAT", "DOUBLE", "FIXED_LEN_BYTE_ARRAY"}
+"""Parquet's physical types of a fixed width; the last is that of half precision and of decimals"""
 
 
 def cannot_read_now(error: BaseException) -> bool:
@@ -58,16 +58,23 @@ def read_arrays(
         return {name: archive[name] for name in archive.files if wanted(name)}
 
 
-def read_columns(file: Path | BinaryIO) -> pa.Table:
-    """The columns of a Parquet file, which must be numeric. Raises one of DAMAGE.
+def read_columns(
+    file: Path | BinaryIO, wanted: Callable[[str], bool] = lambda name: True
+) -> tuple[pa.Table, list[str]]:
+    """The `wanted` columns of a Parquet file, which must be numeric, and the names of all.
 
-    Without Arrow's threads: one that is alive when the process exits may abort it, after everything
-    was done (github.com/apache/arrow/issues/34314).
+    Raises one of DAMAGE. Without Arrow's threads: one that is alive when the process exits may
+    abort it, after everything was done (github.com/apache/arrow/issues/34314).
     """
     table = pq.ParquetFile(file, page_checksum_verification=True, pre_buffer=False)
     # The schema's columns, not the footer's: if the two differ, Arrow crashes the process.
     schema = table.schema
-    strange = {schema.column(i).physical_type for i in range(len(schema))} - NUMBERS
-    if strange:
-        raise ValueError(f"it has columns of {min(strange).lower()}, where numbers belong")
-    return table.read(use_threads=False)
+    names = table.schema_arrow.names
+    chosen = [name for name in names if wanted(name)]
+    for column in map(schema.column, range(len(schema))):
+        top = column.path if column.path in names else column.path.partition(".")[0]
+        if top in chosen and column.physical_type not in NUMBERS:
+            raise ValueError(
+                f"column '{top}' holds {column.physical_type.lower()}, where numbers belong"
+            )
+    return table.read(columns=chosen, use_threads=False), names

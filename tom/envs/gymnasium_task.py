@@ -4,6 +4,8 @@ The module before the colon registers the task when it is imported, as in `gymna
 code that the user chose: only `describe` imports it, never a reader of runs.
 """
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,6 +32,18 @@ TIME_LIMIT = 1000
 """length of an episode if the task's specification sets no limit"""
 UNBOUNDED = 1e6
 """larger bounds are taken as no bound"""
+PLAYED = 50
+"""steps of each of the short episodes by which a task is looked at"""
+WIDE = 1000
+"""bounds that are so many times wider than the values in these episodes are no unit: data go ten
+times as far as short episodes"""
+FAR, NARROW = 1e4, 1e-4
+"""values that lie farther from zero than so many times their changes are shifted; changes smaller
+than this are enlarged"""
+SMALLEST = 1e-12
+"""smaller changes, also relative to the values, are rounding"""
+REWARDS = 10
+"""rewards of the first of these episodes that a run's description keeps"""
 TRIED = 20
 """steps that test whether observations are joint positions and velocities"""
 
@@ -41,7 +55,8 @@ class GymnasiumTask(Task):
     """A task given by its Gymnasium id, rescaled by its bounds.
 
     An observation is `(obs - obs_offset) / obs_scale`; actions of -1 and 1 are the bounds; a step
-    takes `dt` seconds on the screen.
+    takes `dt` seconds on the screen. `rewards` are the first of an episode by which a changed task
+    is recognised; empty if it does not play one the same way twice.
     """
 
     gym_id: str
@@ -50,6 +65,7 @@ class GymnasiumTask(Task):
     obs_offset: Floats
     obs_scale: Floats
     dt: float
+    rewards: Floats = ()
 
     def make(self, seed: int | None = None) -> gym.Env[np.ndarray, np.ndarray]:
         env = _made(self.gym_id, self.name)
@@ -65,6 +81,7 @@ class GymnasiumTask(Task):
     def described(self) -> dict[str, Any]:
         names = "gym_id", "action_low", "action_high", "obs_offset", "obs_scale", "dt"
         names += "action_dim", "obs_names", "max_episode_steps", "nq", "root_dims", "knows_ends"
+        names += ("rewards",)
         return {name: getattr(self, name) for name in names}
 
     def own_obs(self, obs: NDArray) -> NDArray[np.float64]:
@@ -123,10 +140,14 @@ def _described(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
     obs, action = _box(env.observation_space, name), _box(env.action_space, name)
     _check_actions(env.action_space, action, name)
     bounded = _bounded(obs)
-    low, high = np.where(bounded, obs.low, -1.0), np.where(bounded, obs.high, 1.0)
     simulator = simulated(env)
     root_dims = _root_dims(env, simulator, obs, action, name)
     seen_as_they_are = root_dims if not bounded.any() else None  # joints, in their own units
+    tries = [_short_episode(env, action, seed) for seed in (0, 0, 1)]
+    repeats = all(map(np.array_equal, tries[0], tries[1]))
+    offset, scale, changed = _units(obs, _seen(env, obs, tries))
+    if seen_as_they_are is not None:
+        offset, scale, changed = np.zeros(obs.shape), np.ones(obs.shape), np.zeros(obs.shape, bool)
     limit = None if env.spec is None else env.spec.max_episode_steps
     return GymnasiumTask(
         name=name,
@@ -143,10 +164,81 @@ def _described(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
         keeps_states=simulator is not None and seen_as_they_are is None,
         action_low=tuple(action.low.tolist()),
         action_high=tuple(action.high.tolist()),
-        obs_offset=tuple((0.5 * (high + low)).tolist()),
-        obs_scale=tuple((0.5 * (high - low)).tolist()),
+        obs_offset=tuple(offset.tolist()),
+        obs_scale=tuple(scale.tolist()),
         dt=_seconds(env),
+        rewards=tuple(tries[0][1][:REWARDS].tolist()) if repeats else (),
+        notices=_notices(name, changed, repeats),
     )
+
+
+def _short_episode(env: gym.Env, action: Box, seed: int) -> tuple[NDArray, NDArray]:
+    """Observations (n, O) and rewards (n,) of up to `PLAYED` random steps.
+
+    They end where the task fails: a training says why.
+    """
+    rng, seen, rewards = np.random.default_rng(seed), [], []
+    with suppress(*OF_USERS):
+        seen.append(np.array(env.reset(seed=seed)[0], np.float64))
+        for _ in range(PLAYED):
+            taken = rng.uniform(action.low, action.high).astype(env.action_space.dtype)
+            obs, reward, terminated, truncated, _ = env.step(taken)
+            seen.append(np.array(obs, np.float64))
+            rewards.append(float(reward))
+            if terminated or truncated:
+                break
+    same = [row for row in seen if row.shape == seen[0].shape]
+    return np.array(same), np.array(rewards)
+
+
+def _seen(env: gym.Env, obs: Box, tries: Sequence[tuple[NDArray, NDArray]]) -> NDArray:
+    """The finite observations (n, O) of the episodes, and some more of their first ones."""
+    rows = [row for seen, _ in tries for row in seen]
+    with suppress(*OF_USERS):
+        rows += [np.array(env.reset(seed=seed)[0], np.float64) for seed in range(2, 10)]
+    return np.array([row for row in rows if row.shape == obs.shape and np.isfinite(row).all()])
+
+
+def _units(obs: Box, seen: NDArray) -> tuple[NDArray, NDArray, NDArray[np.bool_]]:
+    """Offset and scale (O,) of the observations, and where the values `seen` (n, O) chose them.
+
+    Bounds are the unit, but not those that the values hardly fill. Without bounds values stay as
+    they are, unless single precision or an unscaled network would lose them.
+    """
+    bounded = _bounded(obs)
+    low, high = np.where(bounded, obs.low, -1.0), np.where(bounded, obs.high, 1.0)
+    offset, scale = 0.5 * (high + low), 0.5 * (high - low)
+    if not len(seen):
+        return offset, scale, np.zeros(obs.shape, bool)
+    span, centre = np.ptp(seen, 0), 0.5 * (seen.max(0) + seen.min(0))
+    changes = span > SMALLEST * np.maximum(np.abs(centre), 1)
+    wide = bounded & changes & (high - low > WIDE * span)
+    free = (~bounded | wide) & changes
+    far = free & (np.abs(centre) > FAR * span) & (np.abs(centre) > 1e3)
+    narrow = free & (span < NARROW) & ((np.abs(centre) < 1e3 * span) | far)
+    offset = np.where(far, centre, np.where(wide, 0.0, offset))
+    scale = np.where(narrow, span, np.where(wide, 1.0, scale))
+    return offset, scale, wide | far | narrow
+
+
+def _notices(name: str, changed: NDArray[np.bool_], repeats: bool) -> tuple[tuple[str, str], ...]:
+    notices = []
+    if changed.any():
+        numbers = ", ".join(map(str, np.flatnonzero(changed).tolist()))
+        notices.append((
+            "scale",
+            f"observation {numbers} of {name} changes by a small part of its bounds, or of its "
+            "distance from zero: it is scaled by what short episodes saw, not by its bounds; give "
+            "the observation space bounds that its values fill",
+        ))  # fmt: skip
+    if not repeats:
+        notices.append((
+            "seed",
+            f"{name} plays two episodes of the same seed and actions differently: no run in it can "
+            "be resumed, --resume begins it anew, and nothing repeats under its seed; draw from "
+            "self.np_random, which reset(seed=...) sets",
+        ))  # fmt: skip
+    return tuple(notices)
 
 
 def _box(space: gym.Space, name: str) -> Box:

@@ -21,6 +21,7 @@ class Task:
     has `nq` joint positions. With `root_dims` an observation is qpos without that many leading
     entries (the position on the ground), then qvel. With `keeps_states` observations have another
     form, and the simulator's state is recorded with every row. `settings` change the presets.
+    `notices` (code and text) are about the task itself (`tom.data.card`).
     """
 
     name: str
@@ -35,6 +36,7 @@ class Task:
     keeps_states: bool = False
     of_paper: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
+    notices: tuple[tuple[str, str], ...] = ()
 
     @property
     def obs_dim(self) -> int:

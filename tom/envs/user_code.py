@@ -10,6 +10,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import torch
+
 from tom.errors import OF_USERS, DivergedError, OwnCodeError, UserError, reason
 from tom.machine.memory import ran_out
 
@@ -41,6 +43,8 @@ def running(what: str) -> Iterator[None]:
         raise OwnCodeError(
             f"{what} fails: {type(error).__name__}: {reason(error)}{place(error)}"
         ) from error
+    finally:
+        torch.set_default_dtype(torch.float32)  # code that computes in double may have changed it
 
 
 def place(error: BaseException) -> str:
@@ -60,6 +64,7 @@ def import_named(module: str, option: str) -> ModuleType:
         sys.path.append(here)
     try:
         remember(module, found := importlib.import_module(module))
+        torch.set_default_dtype(torch.float32)
     except ModuleNotFoundError as error:
         raise UserError(
             f"{option}: no module '{error.name}': install it, or start from the folder it is in"

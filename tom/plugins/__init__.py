@@ -151,6 +151,8 @@ def _of_file(path: Path) -> ModuleType:
     except OF_USERS as error:  # the user's own code
         raise UserError(_failure(str(path), error)) from error
     remember(str(path), module)
+    if torch := sys.modules.get("torch"):
+        torch.set_default_dtype(torch.float32)  # or all of our tensors would have its type
     return module
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import relu
 
+from tom.data.card import PolicyFacts, Range
 from tom.data.transitions import TensorTransitions
 from tom.envs.user_code import import_function, place
 from tom.errors import OF_USERS, UserError, reason
@@ -32,6 +33,7 @@ INTERPRETER = "TorchScript interpreter."
 """end of the first line of an error in a TorchScript network; this line has no information"""
 _FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 _LARGEST_SEED = 2**62
+_ONNX_TYPES = {"tensor(double)": np.float64, "tensor(float16)": np.float16}
 HIDDEN = 64  # of a clone
 STEPS = 200  # few, because more steps would fit the noise of a trajectory's few dozen rows
 LR = 3e-3
@@ -62,20 +64,41 @@ class ForeignPolicy:
         self.name, self.obs_dim, self.action_dim = name, obs_dim, len(bounds[0])
         self._ask = ask
         self._low, self._high = (torch.as_tensor(bound, dtype=torch.float32) for bound in bounds)
-        self(torch.zeros(2, obs_dim), 1, torch.Generator().manual_seed(0))
+        self._drawn = False
+        obs = torch.zeros(2, obs_dim)
+        first, again = (self._answer(obs, torch.Generator().manual_seed(seed)) for seed in range(2))
+        # A mean is the same at each call: what is drawn anew is an action.
+        self._drawn = len(first) == 2 and not torch.equal(first[0], again[0])
 
     @torch.no_grad()
     def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
         """n sampled actions for obs (B, O): (n, B, A) in [-1, 1]. Raises UserError."""
         answer = self._answer(obs.to(torch.float32).repeat(n, 1), generator)
-        if len(answer) == 2:
+        return self._action(answer, generator).clamp(-1, 1).unflatten(0, (n, len(obs)))
+
+    def facts(self, obs: Tensor) -> PolicyFacts:
+        """What it answers to observations (B, O), for the card. Raises UserError."""
+        generator = torch.Generator().manual_seed(0)
+        answer = self._answer(obs, generator)
+        action = self._action(answer, generator)
+        log_std = None if len(answer) == 1 else (float(answer[1].min()), float(answer[1].max()))
+        return PolicyFacts(
+            own=Range.of(answer[0].numpy()),
+            spread=float(action.clamp(-1, 1).std(0, correction=0).mean()),
+            log_std=log_std,
+            drawn=self._drawn,
+            beyond=float((action.abs() > 3).float().mean()),
+        )
+
+    def _action(self, answer: tuple[Tensor, ...], generator: torch.Generator) -> Tensor:
+        """Actions (B, A), in [-1, 1] unless they lie outside the task's bounds."""
+        if len(answer) == 2 and not self._drawn:
             mean, log_std = answer
             noise = torch.randn(mean.shape, generator=generator)
-            action = torch.tanh(mean + log_std.exp() * noise)
-        else:
-            action = (2 * answer[0] - self._high - self._low) / (self._high - self._low)
-        return action.clamp(-1, 1).unflatten(0, (n, len(obs)))
+            return torch.tanh(mean + log_std.exp() * noise)
+        return (2 * answer[0] - self._high - self._low) / (self._high - self._low)
 
+    @torch.no_grad()
     def _answer(self, obs: Tensor, generator: torch.Generator) -> tuple[Tensor, ...]:
         """(mean, log_std) or (actions,), each (B, A)."""
         seed = int(torch.randint(_LARGEST_SEED, (1,), generator=generator))
@@ -83,8 +106,12 @@ class ForeignPolicy:
             with torch.random.fork_rng(devices=[]):
                 torch.manual_seed(seed)
                 output = self._ask(obs)
-            parts = output if isinstance(output, tuple | list) else (output,)
-            answer = tuple(torch.as_tensor(part, dtype=torch.float32) for part in parts)
+            parts = output if isinstance(output, tuple) else (output,)
+            if isinstance(output, list) and all(isinstance(part, Tensor) for part in output):
+                parts = tuple(output)  # TorchScript and ONNX give lists
+            if len(parts) == 2 and _is_no_state(parts[1]):
+                parts = parts[:1]
+            answer = tuple(_numbers(part) for part in parts)
         except UserError:
             raise
         except OF_USERS as error:
@@ -93,6 +120,8 @@ class ForeignPolicy:
                 f"it must take: {_why(error)}{place(error)}"
             ) from error
         shape = len(obs), self.action_dim
+        if self.action_dim == len(answer) == 1 and answer[0].shape == shape[:1]:
+            answer = (answer[0][:, None],)
         if len(answer) not in (1, 2) or any(part.shape != shape for part in answer):
             shapes = ", ".join(str(tuple(part.shape)) for part in answer) or "nothing"
             raise UserError(
@@ -102,6 +131,17 @@ class ForeignPolicy:
         if not all(bool(part.isfinite().all()) for part in answer):
             raise UserError(f"policy {self.name} returns what is no finite number: name another")
         return answer
+
+
+def _is_no_state(part: Any) -> bool:
+    """Whether it stands for the state of a policy that keeps none: `predict`'s second output."""
+    return part is None or (isinstance(part, tuple | list | dict) and not part)
+
+
+def _numbers(part: Any) -> Tensor:
+    """A tensor, or anything that numpy takes for an array, in single precision."""
+    array = part.detach() if isinstance(part, Tensor) else torch.from_numpy(np.array(part))
+    return array.to("cpu", torch.float32)
 
 
 def _why(error: BaseException) -> str:
@@ -125,7 +165,7 @@ def foreign_policy(
         raise UserError(f"no policy at {name}: name a file that is there")
 
     def ask_in_own_units(obs: Tensor) -> Any:
-        return ask(torch.as_tensor(own_obs(obs.numpy()), dtype=torch.float32))
+        return ask(torch.as_tensor(own_obs(obs.numpy()), dtype=torch.float64))
 
     return ForeignPolicy(name, ask_in_own_units, obs_dim, bounds)
 
@@ -137,7 +177,7 @@ def _is_function(name: str) -> bool:
 def _function(name: str) -> Callable[[Tensor], Any]:
     """A Python function of observations (B, O), a numpy array. Its module is imported and run."""
     policy = import_function(name, "--policy")
-    return lambda obs: policy(obs.numpy())
+    return lambda obs: policy(obs.to(torch.float32).numpy())
 
 
 def _torchscript(name: str) -> Callable[[Tensor], Any]:
@@ -150,7 +190,8 @@ def _torchscript(name: str) -> Callable[[Tensor], Any]:
             f"{name} is no TorchScript file: write it by torch.jit.trace(...).save "
             "(docs/your-own.md); checkpoints hold pickles and are not loaded"
         ) from error
-    return network
+    own = next((p.dtype for p in network.parameters() if p.is_floating_point()), torch.float32)
+    return lambda obs: network(obs.to(own))
 
 
 def _onnx(name: str) -> Callable[[Tensor], Any]:
@@ -166,10 +207,28 @@ def _onnx(name: str) -> Callable[[Tensor], Any]:
         session = onnxruntime.InferenceSession(name, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # its errors share no class
         raise UserError(f"{name} is no ONNX file that can be used: export it again") from error
-    inputs = [one.name for one in session.get_inputs()]
+    inputs = session.get_inputs()
     if len(inputs) != 1:
-        raise UserError(f"{name} takes {', '.join(inputs)}: export it with one input, observations")
-    return lambda obs: session.run(None, {inputs[0]: obs.numpy()})
+        names = ", ".join(one.name for one in inputs)
+        raise UserError(f"{name} takes {names}: export it with one input, observations")
+    [given] = inputs
+    own = _ONNX_TYPES.get(given.type, np.float32)
+    batch = given.shape[0] if given.shape and isinstance(given.shape[0], int) else None
+
+    def ask(obs: Tensor) -> tuple[Tensor, ...]:
+        rows = obs.numpy().astype(own)
+        if batch is None:
+            return tuple(torch.from_numpy(part) for part in session.run(None, {given.name: rows}))
+        # Exported without dynamic axes: it takes just so many rows at a time.
+        padded = np.concatenate((rows, np.repeat(rows[-1:], -len(rows) % batch, 0)))
+        parts = [
+            session.run(None, {given.name: padded[i : i + batch]})
+            for i in range(0, len(padded), batch)
+        ]
+        joined = (np.concatenate(outputs)[: len(rows)] for outputs in zip(*parts, strict=True))
+        return tuple(map(torch.from_numpy, joined))
+
+    return ask
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ def read_table(path: Path) -> pd.DataFrame:
     """The columns of a Parquet file. Raises one of DAMAGE."""
     # Not by pandas: it would read hive partitions from the folder's name, and its conversion from
     # Arrow takes twice as long, which matters in a store of 200 runs.
-    read = read_columns(path)
+    read, _ = read_columns(path)
     return pd.DataFrame({name: read[name].to_numpy() for name in read.column_names})
 
 

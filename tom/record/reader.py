@@ -182,8 +182,10 @@ class RunReader:
         return self._rows(layout.PROFILES, decode.profiles_of)
 
     def notices(self) -> list[dict[str, Any]]:
-        """The notices, with `env_step`, `kind` and `message`."""
-        return self._rows(layout.NOTICES, list)
+        """The notices, with `env_step`, `code` and `message`."""
+        rows = self._rows(layout.NOTICES, list)
+        # Until 2026-11-27 the code was called a kind.
+        return [{"code": row.get("kind"), **row} for row in rows]
 
     def snapshot_steps(self) -> list[int]:
         """Steps of the model fits whose single weights were stored."""

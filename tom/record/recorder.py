@@ -183,8 +183,8 @@ class Recorder:
         """Go back to `mark`; the warnings of notices before it count again."""
         self._writer.rewind(mark["files"], mark["env_step"])
         for notice in RunReader(self._writer.path).notices():
-            step, kind, message = (notice.get(name) for name in ("env_step", "kind", "message"))
-            self._heartbeat.warn(str(kind), f"step {step}: {message}")
+            step, code, message = (notice.get(name) for name in ("env_step", "code", "message"))
+            self._heartbeat.warn(str(code), f"step {step}: {message}")
 
     def _why(self, error: BaseException) -> str:
         """The cause of the run's end, the step, and the fix."""

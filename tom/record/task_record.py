@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from tom.data.card import take
 from tom.data.transitions import Transitions
 from tom.envs import ENVS, ROAD, Task, scene, task
 from tom.envs.termination import never
@@ -31,6 +32,53 @@ def save_scene(env: str, folder: Path) -> None:
     model = scene.made_model(task(env))
     if model is not None:
         np.savez_compressed(folder / layout.SCENE, allow_pickle=False, **scene.arrays(model))
+
+
+def changed(run: RunReader) -> tuple[str, str] | None:
+    """A notice (code and text) if the run's task is no longer the one that it was recorded in.
+
+    It names the fields of the two descriptions that differ; None if there are none.
+    """
+    recorded, now = run.config.get("task"), description(run.env)
+    if not isinstance(recorded, dict) or now is None:
+        return None
+    differ = [
+        f"{name} was {_shown(recorded[name])}, now {_shown(now[name])}"
+        for name in now
+        if name in recorded and not _same(recorded[name], now[name])
+    ]
+    if not differ:
+        return None
+    return "task", (
+        f"the task {run.env} is not the one that run '{run.run_id}' was recorded in "
+        f"({'; '.join(differ)}): numbers of both are mixed; put the task back, or start again"
+    )
+
+
+def card_of(run: RunReader) -> dict[str, Any]:
+    """The card of the rows that a run collected, with its recorded notices; empty without rows."""
+    rows, _ = run.buffer()
+    if not len(rows):
+        return {}
+    notices = [{"code": row["code"], "text": row.get("message")} for row in run.notices()]
+    return {**take(rows).described(), "notices": notices}
+
+
+def _same(recorded: Any, now: Any) -> bool:
+    try:
+        numbers = np.asarray(recorded, np.float64), np.asarray(now, np.float64)
+    except (TypeError, ValueError):
+        return recorded == (list(now) if isinstance(now, tuple) else now)
+    if not all(map(np.size, numbers)):
+        return True  # a task that does not repeat itself has no rewards to compare
+    return numbers[0].shape == numbers[1].shape and np.allclose(*numbers, rtol=1e-3, atol=1e-6)
+
+
+def _shown(value: Any) -> str:
+    if not isinstance(value, list | tuple):
+        return str(value)
+    texts = [f"{one:.4g}" if isinstance(one, float) else str(one) for one in value[:3]]
+    return ", ".join(texts) + (", ..." if len(value) > 3 else "")
 
 
 def task_of(run: RunReader) -> Task:

@@ -38,7 +38,7 @@ from tom.record.versions import git_commit, machine, versions
 SEGMENT_ROWS = 4096
 """rows up to which a segment of the replay buffer is rewritten when new rows come"""
 
-RESUMING = ("versions", "settings", "checkpoint")
+RESUMING = ("versions", "task", "settings", "checkpoint")
 """the kinds of notice that a resume begins with"""
 
 
@@ -133,7 +133,7 @@ class RunWriter:
         for lines, size in zip(self._lines()[1:], mark["lines"][1:], strict=True):
             lines.cut(size)
         for row in resumed:
-            if row.get("kind") in RESUMING:
+            if row.get("code", row.get("kind")) in RESUMING:
                 self._append(self._notices, row)
         (self.path / layout.METRICS_TABLE).unlink(missing_ok=True)
         self._latest_snapshot = mark["latest_snapshot"]
@@ -208,9 +208,9 @@ class RunWriter:
         """Append a row of metrics."""
         self._append(self._metrics, row)
 
-    def notice(self, env_step: int, kind: str, message: str) -> None:
+    def notice(self, env_step: int, code: str, message: str) -> None:
         """Append a notice."""
-        row = {"env_step": env_step, "kind": kind, "message": message}
+        row = {"env_step": env_step, "code": code, "message": message}
         self._append(self._notices, row)
 
     def profile(self, weights: Weights, bins: int) -> None:

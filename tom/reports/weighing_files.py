@@ -9,6 +9,7 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from tom.analysis.brush import AS_IT_IS, BrushedFit
 from tom.analysis.ordered_data import OrderedData
 from tom.analysis.progression import Progression, medians, progression
 from tom.analysis.weighing import Weighed, WeighingPlan, setting_groups
+from tom.data.card import Card
 from tom.data.sampling import bin_means
 from tom.data.unpack import DAMAGE
 from tom.errors import UserError
@@ -35,6 +37,8 @@ from tom.record.versions import git_commit, versions
 from tom.reports.report import seeds, write_csv
 
 WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
+SAME = 1e-6
+"""weights of mean 1 that differ by no more are the same"""
 GHOSTS = "ghosts.npz"
 REGION = "region"
 """the column that marks the brushed rows"""
@@ -120,12 +124,16 @@ def is_brush(report: Mapping[str, Any]) -> bool:
 
 
 def notices(report: Mapping[str, Any]) -> list[str]:
-    """What the learners noticed about their weights, each once with the seeds of which it holds."""
+    """What contradicts itself, and what the learners noticed about their weights.
+
+    Each once; a learner's with the seeds of which it holds.
+    """
     noticed: dict[tuple[str, str], list[int]] = {}
     for result in report["results"]:
         for message in result.get("notices", ()):
             noticed.setdefault((result["learner"], message), []).append(result["seed"])
-    return [
+    of_card = [str(notice["text"]) for notice in report.get("card", {}).get("notices", ())]
+    return of_card + [
         f"{LEARNERS[name].label if name in LEARNERS else name}, seed {seeds(of)}: {message}"
         for (name, message), of in noticed.items()
     ]
@@ -232,6 +240,7 @@ def report(
         "data": data.name,
         "env": data.env,
         "rows": len(data),
+        "card": card(data.card, weighed).described(),
         "ordered_from": data.ordered_from,
         **({} if data.stored else {ROWS: rows_digest(data)}),
         "results": [
@@ -254,6 +263,26 @@ def report(
             "hours": hours,
         },
     }
+
+
+def card(of_data: Card, weighed: Sequence[Weighed]) -> Card:
+    """The card of the data, with the policy's return and what became of the weights."""
+    returns = [one.footprint_return for one in weighed if one.footprint_return is not None]
+    policy = of_data.policy
+    if policy is not None and returns:
+        policy = replace(policy, returned=float(np.mean(returns)))
+    same = {
+        LEARNERS[one.learner].label: None
+        for one in weighed
+        if not LEARNERS[one.learner].uniform and np.ptp(one.weights) <= SAME
+    }
+    uniform = (
+        "uniform",
+        f"the weights of {', '.join(same)} are all the same: nothing tells the policy's steps from "
+        "the data's; more rows, a longer --footprint, or the notices above say why",
+    )
+    others = (*of_data.others, *((uniform,) if same else ()))
+    return replace(of_data, policy=policy, others=others)
 
 
 def rows_digest(data: OrderedData) -> str:

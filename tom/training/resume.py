@@ -21,6 +21,7 @@ from tom.record.files import set_aside
 from tom.record.integrity import unlike
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import RerunSink
+from tom.record.task_record import changed
 from tom.record.versions import ACCEPT, decides, versions
 from tom.record.writer import RunWriter
 from tom.training.plan import steps_beyond
@@ -30,6 +31,7 @@ from tom.training.run import (
     RecordingOptions,
     Training,
     make_training,
+    make_watch,
     record,
     require_device,
 )
@@ -70,6 +72,8 @@ def resume(
         config = config.but(steps=steps)
     require_device(config.device)
     notices = [("versions", _changed_versions(reader, accept_versions))]
+    if (other := changed(reader)) is not None:
+        notices.append(other)
     lock.refuse_if_elsewhere(reader)
     writer = RunWriter(reader.path, config)  # takes the lock: no other process can write the run
     try:
@@ -77,7 +81,8 @@ def resume(
         torch.set_num_threads(config.threads)
         choose_matmul(reader.config.get("matmul", {}).get("chosen", config.matmul))
         notices.append(("settings", _changed_settings(reader, saved, config)))
-        training, watch = make_training(config), Watch(config)
+        training = make_training(config)
+        watch = make_watch(config, training)
         mark = _restore(reader, saved, training, watch)
         for path in saved.unusable:  # or they would be among the two that are kept
             set_aside(reader.path, path)

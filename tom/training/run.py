@@ -85,6 +85,11 @@ def make_training(config: AnyConfig) -> Training:
             return SacRecording(config)
 
 
+def make_watch(config: AnyConfig, training: Training) -> Watch:
+    """The watch over a training of that configuration."""
+    return Watch(config, training.replay if isinstance(training, Mbpo | SacRecording) else None)
+
+
 def train(
     config: AnyConfig, store: Store, run_id: str | None = None, **options: Unpack[RecordingOptions]
 ) -> RunReader:
@@ -101,7 +106,8 @@ def train(
     writer = _new_writer(store, run_id, config, matmul=matmul, command=options.get("command", ""))
     sink = RerunSink(writer.path) if options.get("rerun", True) else None
     with Recorder(writer, sink) as recorder:
-        record(make_training(config), Watch(config), recorder, writer, options)
+        training = make_training(config)
+        record(training, make_watch(config, training), recorder, writer, options)
     return RunReader(writer.path)
 
 

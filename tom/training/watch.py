@@ -5,14 +5,18 @@ gives a notice, and the training goes on.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from tom.config import OnlineConfig, RunConfig, SacRecordingConfig
+from tom.data.card import FEW_ROWS, Card, take, with_rule
+from tom.data.replay import ReplayBuffer
+from tom.envs import task
+from tom.envs.termination import learns_ends, rule
 from tom.errors import DivergedError
-from tom.events import Collected, Event, Metrics, Notice, Weights
+from tom.events import Event, Metrics, Notice, TrainedPolicy, Weights
 from tom.metrics import MODEL, SHORTER, require_finite
 
 EXPLODED_SHARE = 1e-3
@@ -24,17 +28,24 @@ SHORT_EPISODES = 10
 
 
 class Watch:
-    """Checks every event of one training; its state is part of a checkpoint."""
+    """Checks every event of one training; its state is part of a checkpoint.
 
-    def __init__(self, config: RunConfig) -> None:
-        self._config = config
+    The card of the buffer is taken at the first fit, whenever the buffer has doubled since, and at
+    the end.
+    """
+
+    def __init__(self, config: RunConfig, replay: ReplayBuffer | None = None) -> None:
+        """`replay` is the training's buffer, if its rows come from a task of Gymnasium's."""
+        self._config, self._replay = config, replay
         self._given: set[str] = set()
         self._short = 0  # episodes of one step in a row
-        self._low: Tensor | None = None  # (O,) smallest obs so far
-        self._high: Tensor | None = None
+        self._checked = 0  # rows of the last card
 
     def over(self, events: Iterable[Event]) -> Iterator[Event]:
         """The events, each followed by its notices. Raises DivergedError."""
+        if self._replay is not None:
+            for code, text in task(self._config.env).notices:
+                yield from self._once(0, code, text)
         for event in events:
             yield event  # recorded first, then checked
             yield from self.check(event)
@@ -42,14 +53,11 @@ class Watch:
     def check(self, event: Event) -> Iterator[Notice]:
         """The notices for `event`."""
         match event:
-            case Collected():
-                obs = torch.as_tensor(event.transitions.obs)
-                low, high = obs.amin(0), obs.amax(0)
-                self._low = low if self._low is None else torch.minimum(self._low, low)
-                self._high = high if self._high is None else torch.maximum(self._high, high)
             case Weights():
-                yield from self._once(event.env_step, "constant-dimension", self._constant())
+                yield from self._card(event.env_step, 2 * self._checked)
                 yield from self._once(event.env_step, "small-buffer", self._small())
+            case TrainedPolicy():
+                yield from self._card(event.env_step, self._checked + 1)
             case Metrics():
                 yield from self._metrics(event.env_step, event.values)
             case _:
@@ -72,18 +80,20 @@ class Watch:
             self._given.add(kind)
             yield Notice(env_step, kind, message)
 
-    def _constant(self) -> str:
-        if self._low is None or self._high is None:
-            return ""
-        still = torch.nonzero(self._low == self._high).flatten().tolist()
-        if not still or len(still) == len(self._low):
-            return ""
-        shown = ", ".join(map(str, still[:NAMED])) + (", ..." if len(still) > NAMED else "")
-        return (
-            f"{len(still)} of {len(self._low)} observation dimensions ({shown}) have never "
-            "changed: nothing can be learnt of them; leave them out of the observation if they "
-            "carry nothing"
-        )
+    def _card(self, env_step: int, least: int) -> Iterator[Notice]:
+        """What contradicts itself in the buffer, if it has at least `least` rows by now."""
+        if self._replay is None or len(self._replay) < max(least, FEW_ROWS):
+            return
+        self._checked = len(self._replay)
+        rows, known = self._replay.transitions(), task(self._config.env)
+        card = replace(take(rows), task=known.name, limit=known.max_episode_steps)
+        own_rule = getattr(getattr(self._config, "model", None), "termination", None)
+        if not learns_ends(known, own_rule):
+            name = own_rule or f"of {known.name}"
+            card = with_rule(card, rule(known, own_rule), rows, name)
+        yield from self._once(env_step, "constant-dimension", _constant(card))
+        for code, text in card.notices():
+            yield from self._once(env_step, code, text)
 
     def _small(self) -> str:
         rows, batch = _first_batch(self._config)
@@ -100,13 +110,12 @@ class Watch:
         return {
             "said": sorted(self._given),
             "short": self._short,
-            "low": self._low,
-            "high": self._high,
+            "checked": self._checked,
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         self._given, self._short = set(state["said"]), state["short"]
-        self._low, self._high = state["low"], state["high"]
+        self._checked = state.get("checked", 0)
 
 
 SHORT = (
@@ -118,6 +127,18 @@ PERFECT = (
     "log ratio has no scale and the weights follow it; try a larger policy buffer, or "
     "--tom.label-smoothing 0.1"
 )
+
+
+def _constant(card: Card) -> str:
+    still = np.flatnonzero(card.obs.low == card.obs.high).tolist()
+    dims = len(card.obs.low)
+    if not still or len(still) == dims:
+        return ""
+    shown = ", ".join(map(str, still[:NAMED])) + (", ..." if len(still) > NAMED else "")
+    return (
+        f"{len(still)} of {dims} observation dimensions ({shown}) have never changed: nothing can "
+        "be learnt of them; leave them out of the observation if they carry nothing"
+    )
 
 
 def _rollouts(env_step: int, values: Mapping[str, float]) -> Iterator[Notice]:

@@ -189,7 +189,7 @@ def _even(run: RunReader, profiles: Profiles, chosen: int) -> None:
     if uniform or profiles.ess[chosen] <= EVEN:
         return
     step = int(profiles.env_step[chosen])
-    noticed = {(notice.get("env_step"), notice.get("kind")) for notice in readers.notices(run)}
+    noticed = {(notice.get("env_step"), notice.get("code")) for notice in readers.notices(run)}
     if (step, DEGENERATE[0]) in noticed:
         reason = "its weights could not be used"
     elif (profiles.ess[:chosen] <= EVEN).any():

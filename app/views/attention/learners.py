@@ -87,6 +87,8 @@ def _weighed(weighing: Weighing, rows: int) -> None:
         return
     if missing := weighing.missing(rows):
         st.caption(missing)
+    if weighing.card:
+        st.caption(weighing.card)
     show_notices(weighing)
     count = len(next(iter(of.values())))
     footprints = weighing.footprints

@@ -8,7 +8,7 @@ from app.data.weighings import Weighing
 
 
 def show_notices(weighing: Weighing) -> None:
-    """Say what the learners noticed about their weights."""
+    """Say what contradicts itself, and what the learners noticed about their weights."""
     for notice in weighing.notices:
         st.warning(text.markdown(notice), icon=":material/warning:")
 

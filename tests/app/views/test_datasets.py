@@ -39,6 +39,7 @@ def weighed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         generator = torch.Generator().manual_seed(seed)
         rows = footprint(task(ENV), UniformPolicy(4, 1), N, seed, generator).transitions
         columns = {field.name: np.asarray(getattr(rows, field.name)) for field in fields(rows)}
+        columns["action"] = 3 * columns["action"]  # in the task's own units
         np.savez(folder / f"{name}.npz", allow_pickle=False, **columns)
     words = ["--policy", "random", "--env", ENV, "--footprint", "50", "--learner", "pmac", "mle"]
     for name, out in (("other", "third"), ("my buffer", "first"), ("my buffer", "second")):

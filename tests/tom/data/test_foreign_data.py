@@ -15,7 +15,8 @@ import pyarrow.dataset
 import pyarrow.parquet as pq
 import pytest
 
-from tom.data.datasets import initial_obs, read_dataset
+from tom.data.datasets import initial_obs
+from tom.data.datasets import read_dataset as read_recording
 from tom.data.transitions import Transitions
 from tom.errors import UserError
 
@@ -27,6 +28,10 @@ TERMINATED = np.arange(N) == 3
 TRUNCATED = np.isin(np.arange(N), (6, 9))
 STARTS = [0, 4, 7]
 D4RL = ("observations", "actions", "rewards", "next_observations", "terminals", "timeouts")
+
+
+def read_dataset(path: Path) -> Transitions:
+    return read_recording(path).rows
 
 
 @pytest.fixture

@@ -181,3 +181,27 @@ def test_a_state_that_is_accepted_is_loaded_as_a_checkpoint_is():
     loaded = torch.load(file, weights_only=True)
     assert loaded["rest"][:-1] == state["rest"][:-1]
     assert torch.equal(loaded["net"]["weight"], net.weight)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        torch.ones(N, dtype=torch.complex64),
+        torch.ones(N).to_sparse(),
+        torch.ones(N, device="meta"),
+    ],
+)
+def test_tensors_that_hold_no_plain_numbers_are_refused(given: torch.Tensor):
+    with pytest.raises(OwnCodeError, match="dense tensor"):
+        own(Weighting(given)).weigh(context(rows(N)))
+
+
+class Double(Answering):
+    def weigh(self, context: Any) -> Any:
+        torch.set_default_dtype(torch.float64)
+        return Weighting(torch.ones(N))
+
+
+def test_a_changed_default_type_is_put_back():
+    OwnLearner("mine", lambda: Double(None)).weigh(context(rows(N)))
+    assert torch.get_default_dtype() == torch.float32

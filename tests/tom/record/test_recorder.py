@@ -191,7 +191,7 @@ def test_fields_and_notices_come_back(record):
     np.testing.assert_array_equal(run.field("map", STEPS)["gain"], np.full((2, 3), STEPS))
     assert run.notices()[0] == {
         "env_step": EVALUATE,
-        "kind": "weights",
+        "code": "weights",
         "message": "all of them are zero",
     }
 

@@ -36,7 +36,7 @@ def hopper(store: Store) -> RunReader:
         for event in events():
             recorder.consume(_with_real_positions(event))
     run = store.run("run")
-    assert run.notices()[-1]["kind"] != "rerun", run.notices()[-1]
+    assert run.notices()[-1]["code"] != "rerun", run.notices()[-1]
     return run
 
 
@@ -213,7 +213,7 @@ def test_a_recording_that_cannot_be_written_costs_training_nothing(store: Store)
     run = store.run("run")
     assert run.status.state == "finished"
     assert len(run.metrics()) == 10
-    assert run.notices()[-1]["kind"] == "rerun"
+    assert run.notices()[-1]["code"] == "rerun"
 
 
 def test_a_viewer_that_hangs_holds_the_end_of_a_run_up_for_a_moment_only(
@@ -227,4 +227,4 @@ def test_a_viewer_that_hangs_holds_the_end_of_a_run_up_for_a_moment_only(
         pass
     release.set()
     assert store.run("run").status.state == "finished"
-    assert store.run("run").notices()[-1]["kind"] == "rerun"
+    assert store.run("run").notices()[-1]["code"] == "rerun"
