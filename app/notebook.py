@@ -60,7 +60,7 @@ def _of_weighing(weighing: Weighing, height: int) -> Figures:
     figures = Figures()
     figures["profiles"] = probe_profiles(by_learner, share, height, log=False)
     first = str(weighing.weights.columns[0])
-    if weighing.rows is not None:
+    if weighing.recorded is not None:
         weight = weighing.weights[first].to_numpy(np.float64)
         figures |= _regions(weighing, first, weight, height)
     return figures
@@ -68,9 +68,9 @@ def _of_weighing(weighing: Weighing, height: int) -> Figures:
 
 def _regions(weighing: Weighing, column: str, weight: Floats, height: int) -> Figures:
     learner, _, seed = column.rpartition("-s")
-    assert weighing.rows is not None
+    assert weighing.recorded is not None
     version = np.arange(len(weight))
-    rows = rows_at(weighing.rows, version, weight, len(weight))
+    rows = rows_at(weighing.recorded, version, weight, len(weight))
     assert rows is not None
     name = f"{learner_label(learner)} s{seed}"
     plane, mask = regions.principal_plane(rows.rows), regions.heaviest(weight, HEAVIEST)

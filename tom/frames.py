@@ -19,9 +19,10 @@ from tom.data.sampling import bin_means
 from tom.data.transitions import Transitions
 from tom.data.unpack import DAMAGE
 from tom.envs import ROAD, bring
-from tom.errors import UserError, reason
+from tom.errors import UserError, reason, unknown
 from tom.learners import WEIGHED_FIRST
-from tom.record import RunReader, Store
+from tom.policy.stored import read_policy
+from tom.record import RunReader, Store, layout
 from tom.record.decode import read_table
 from tom.record.task_record import dimension_names, task_of
 from tom.reports import weighing_files
@@ -71,16 +72,17 @@ class Run:
 
         Raises UserError if the weights of that fit were not stored.
         """
-        return self.reader.snapshot(self._kept(step))
+        return self.reader.snapshot(self.fit(step))
 
     def rows(self, step: int | None = None) -> pd.DataFrame:
         """The buffer of the fit at `step` (default: the last stored one): `row_table`'s columns.
 
-        Further columns, where they are known: `error`, that of the run's last model, and the
-        weights of other learners for this buffer, named as by `tom.weigh`. Raises UserError as
-        `weights`, and if the buffer is not kept.
+        Further columns, where they are known: `policy_distance` from each action to the mean action
+        of the fit's policy, `error`, that of the run's last model, and the weights of other
+        learners for this buffer, named as by `tom.weigh`. Raises UserError as `weights`, and if the
+        buffer is not kept.
         """
-        step = self._kept(step)
+        step = self.fit(step)
         weight = self.reader.snapshot(step)["weight"].to_numpy(np.float32)
         record = self.reader.buffer()[0]
         # Offline data is complete from the first step on; online, each step adds a row.
@@ -91,17 +93,26 @@ class Run:
                 + "".join(f"; {problem}" for problem in self.reader.problems)
             )
         rows = record[end - len(weight) : end]
-        described = () if self.reader.env == ROAD else task_of(self.reader).obs_names
-        names = dimension_names(self.reader.env, rows, described)
-        more = self._errors(rows) | self._weighed(end, len(weight), len(record))
+        names = dimension_names(self.reader.env, rows, _obs_names(self.reader))
+        more = self._distances(step, rows) | self._errors(rows)
+        more |= self._weighed(end, len(weight), len(record))
         return row_table(record, weight, end, names, more)
 
-    def _kept(self, step: int | None) -> int:
+    def fit(self, step: int | None = None) -> int:
+        """The step of a fit whose weights are stored, by default the last. Raises UserError."""
         kept = self.reader.snapshot_steps()
-        if not kept or (step is not None and step not in kept):
-            steps = ", ".join(map(str, kept)) or "none"
+        if not kept:
+            raise UserError(f"run {self.name} keeps the weights of no fit: name another run")
+        if step is not None and step not in kept:
+            steps = ", ".join(map(str, kept))
             raise UserError(f"run {self.name} kept no weights of step {step}: it kept {steps}")
         return kept[-1] if step is None else step
+
+    def _distances(self, step: int, rows: Transitions) -> dict[str, NDArray]:
+        if not self.reader.has_policy(step):
+            return {}
+        policy = read_policy(self.reader.path / layout.policy(step))
+        return {"policy_distance": policy.distances(rows.torch()).numpy()}
 
     def _errors(self, rows: Transitions) -> dict[str, NDArray]:
         try:
@@ -130,8 +141,10 @@ class Weighing:
     report: Mapping[str, Any]
     weights: pd.DataFrame
     """one column `<learner>-s<seed>` each, one row per transition, oldest first, mean 1"""
-    rows: Transitions | None
-    """numpy arrays; None if they are not stored"""
+    recorded: Transitions | None
+    """the weighed rows, numpy arrays; None if they are not stored"""
+    obs_names: tuple[str, ...] = ()
+    """of the task's O dimensions; empty if not known"""
     _made: tuple[OrderedData, list[Weighed]] | None = field(default=None, repr=False)
 
     @property
@@ -169,9 +182,26 @@ class Weighing:
     @cached_property
     def transitions(self) -> pd.DataFrame:
         """The weighed rows. Raises UserError if they are not stored."""
-        if self.rows is None:
+        return transition_table(self._recorded())
+
+    def rows(self, of: str | None = None) -> pd.DataFrame:
+        """The weighed rows: `row_table`'s columns, then those of `weights`.
+
+        `weight`, and with it the contrast plane, is the column `of`, by default the first one.
+        Raises UserError if the rows are not stored, or there is no such column.
+        """
+        of = str(self.weights.columns[0]) if of is None else of
+        if of not in self.weights:
+            raise unknown("column", of, map(str, self.weights))
+        rows = self._recorded()
+        names = dimension_names(str(self.report["env"]), rows, self.obs_names)
+        more = {str(name): self.weights[name].to_numpy() for name in self.weights}
+        return row_table(rows, more[of], len(rows), names, more)
+
+    def _recorded(self) -> Transitions:
+        if self.recorded is None:
             raise UserError(f"the rows of {self.report['data']} are not kept here: load its run")
-        return transition_table(self.rows)
+        return self.recorded
 
     def by_learner(self) -> dict[str, NDArray[np.float64]]:
         """The profiles of each learner's seeds, (S, 100)."""
@@ -239,7 +269,7 @@ def weigh(
     report = weighing_files.report(plan, weighed, str(policy), step, command, hours)
     weights = pd.DataFrame({f"{one.learner}-s{one.seed}": one.weights for one in weighed})
     rows = plan.data.transitions.numpy()
-    return Weighing(report, weights, rows, (plan.data, weighed))
+    return Weighing(report, weights, rows, plan.known.obs_names, (plan.data, weighed))
 
 
 def _weighing(path: Path) -> Weighing:
@@ -249,18 +279,20 @@ def _weighing(path: Path) -> Weighing:
     except DAMAGE as error:
         raise UserError(f"weighing {path} cannot be read ({reason(error)}): weigh again") from error
     kept = [name for name in weights if str(name).rpartition("-s")[2].isdigit()]
-    return Weighing(report, weights.loc[:, kept], _rows(path, report, len(weights)))
+    in_folder = ROWS in report
+    run = RunReader(path) if in_folder else _run_of(path, report)
+    if run is None:
+        return Weighing(report, weights.loc[:, kept], None)
+    recorded = run.buffer()[0].numpy()
+    # A step counts a run's rows; those in the folder are the weighed ones alone.
+    whole = in_folder or report.get("step") is None
+    end = len(weights) if whole else int(report["step"])
+    rows = recorded[end - len(weights) : end] if len(weights) <= end <= len(recorded) else None
+    return Weighing(report, weights.loc[:, kept], rows, _obs_names(run))
 
 
-def _rows(path: Path, report: Mapping[str, Any], count: int) -> Transitions | None:
-    """The weighed rows, from the weighing's folder or from the run beside it."""
-    kept = ROWS in report  # these are the weighed ones alone; a step counts a run's
-    run = RunReader(path) if kept else _run_of(path, report)
-    rows = run.buffer()[0].numpy() if run is not None else None
-    end = count if kept or report.get("step") is None else int(report["step"])
-    if rows is None or not count <= end <= len(rows):
-        return None
-    return rows[end - count : end]
+def _obs_names(run: RunReader) -> tuple[str, ...]:
+    return () if run.env == ROAD else task_of(run).obs_names
 
 
 def _run_of(path: Path, report: Mapping[str, Any]) -> RunReader | None:

@@ -63,7 +63,7 @@ def test_the_rows_of_a_fit_stand_in_one_table(run: Run, tmp_path: Path, capsys):
     numbers = list(range(step - count, step))
     assert rows["row"].tolist() == numbers
     pd.testing.assert_frame_equal(
-        rows[whole.columns], whole.iloc[numbers].reset_index(drop=True), check_like=True
+        rows.filter(list(whole.columns)), whole.iloc[numbers].reset_index(drop=True)
     )
     ended = whole["terminated"] | whole["truncated"]
     episode = ended.shift(fill_value=False).cumsum()
@@ -74,8 +74,16 @@ def test_the_rows_of_a_fit_stand_in_one_table(run: Run, tmp_path: Path, capsys):
     assert abs(np.corrcoef(rows["contrast_0"], log)[0, 1]) >= max(
         abs(np.corrcoef(rows[name], log)[0, 1]) for name in ("contrast_1", "pc_0", "pc_1")
     )
+    stored = np.load(GALLERY / RUN / "policies" / f"{step:09d}.npz")
+    layer = rows.filter(regex="^obs_").to_numpy(np.float64)
+    layers = sum(name.startswith("weight_") for name in stored)
+    for k in range(layers):
+        layer = layer @ stored[f"weight_{k}"].astype(float) + stored[f"bias_{k}"]
+        layer = np.maximum(layer, 0) if k < layers - 1 else layer
+    gap = np.tanh(layer[:, :1]) - rows[["action_0"]]
+    assert rows["policy_distance"].to_numpy() == pytest.approx(np.abs(gap["action_0"]), abs=1e-4)
     command = ["runs", "export", RUN, "--store", str(GALLERY), "--out", str(tmp_path)]
-    assert main([*command, "--rows", str(step)]) == 0
+    assert main([*command, "--rows"]) == 0
     (written,) = tmp_path.glob(f"{RUN}-rows-{step}.parquet")
     pd.testing.assert_frame_equal(pd.read_parquet(written), rows)
     assert main([*command, "--rows", "7"]) == 2
@@ -144,6 +152,38 @@ def test_the_rows_of_a_weighing_come_from_its_run(weighing: Weighing, run: Run):
     assert isinstance(found, Weighing)
     assert len(found.transitions) == len(found.weights) == found.report["rows"]
     assert found.random_share == found.report["ordered_from"] / found.report["rows"]
+
+
+def test_the_rows_of_own_data_are_those_of_its_file_with_every_learners_weight(tmp_path: Path):
+    rng = np.random.default_rng(0)
+    file = {name: rng.normal(size=(90, 3)).astype(np.float32) for name in ("obs", "next_obs")}
+    file |= {"action": rng.uniform(-2, 2, (90, 1)).astype(np.float32)}
+    file |= {name: np.zeros(90, np.float32) for name in ("reward", "terminated", "truncated")}
+    file["truncated"][[29, 89]] = 1
+    np.savez(tmp_path / "own.npz", allow_pickle=False, **file)
+    out = tmp_path / "weighings" / "own"
+    of = ["weigh", str(tmp_path / "own.npz"), "--env", "gymnasium:Pendulum-v1"]
+    by = ["--policy", "random", "--learner", "mle", "pmac", "--seeds", "4", "--footprint", "50"]
+    assert main([*of, *by, "--store", str(tmp_path), "--out", str(out)]) == 0
+    command = ["runs", "export", "own", "--store", str(tmp_path), "--out", str(tmp_path)]
+    assert main([*command, "--rows", "90"]) == 2
+    assert main([*command, "--rows"]) == 0
+    rows = pd.read_parquet(tmp_path / "own-rows.parquet")
+    made = tom.load(out)
+    assert isinstance(made, Weighing)
+    pd.testing.assert_frame_equal(rows, made.rows())
+    unit = file["next_obs"] / [1, 1, 8]  # agents see the task's bounds as -1 and 1
+    np.testing.assert_allclose(rows.filter(regex="^next_obs_"), unit, rtol=1e-6)
+    np.testing.assert_allclose(rows["action_0"], file["action"][:, 0] / 2, rtol=1e-6)
+    assert rows["row"].tolist() == list(range(90))
+    assert rows["episode_step"].tolist() == [*range(30), *range(60)]
+    np.testing.assert_array_equal(rows["pmac-s4"], made.weights["pmac-s4"])
+    np.testing.assert_array_equal(rows["weight"], made.weights["mle-s4"])
+    of_other = made.rows("pmac-s4")
+    np.testing.assert_array_equal(of_other["weight"], made.weights["pmac-s4"])
+    assert not np.array_equal(of_other["contrast_0"], rows["contrast_0"])
+    with pytest.raises(UserError, match="pmac-s4"):
+        made.rows("pmac-s5")
 
 
 def test_rows_that_a_weighing_keeps_are_all_of_them_at_a_step_too(tmp_path: Path):

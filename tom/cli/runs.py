@@ -25,6 +25,8 @@ from tom.record.thin import OPTIONAL, SERIES
 
 STATES = ("running", "finished", "stopped", "failed", "dead", "unknown")
 MB = 1e6
+LAST = -1
+"""stands for the last step whose weights a run keeps"""
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
@@ -87,8 +89,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         + ", ".join(OPTIONAL),
     )  # fmt: skip
     exported.add_argument(
-        "--rows", type=whole(0), metavar="STEP", help="the buffer's rows of the fit at this step"
-    )
+        "--rows", type=whole(0), nargs="?", const=LAST, metavar="STEP",
+        help="the buffer's rows of the fit at STEP [the last kept]; a RUN may also be a weighing",
+    )  # fmt: skip
     exported.add_argument("--out", type=Path, default=Path("exports"), help="folder [exports/]")
     verb("index", index, "write the store's README.md: its small copies, and how each was made")
     verb("size", size, "what runs [all] take on the disk, in MB", "*")
@@ -317,15 +320,18 @@ def export_runs(args: argparse.Namespace) -> int:
         raise UserError(f"{' and '.join(chosen)} are different exports: choose one")
     if both := sorted({*args.keep} & {*args.without}):
         raise UserError(f"--keep and --without both name {', '.join(both)}: choose one")
-    store = Store(args.store)
-    runs = _chosen(store, args.run_ids, finished=True)
-    print_problems(store)
-    if not runs:
-        raise UserError(f"{args.store}/ has no finished runs: name those to export")
+    if args.rows is not None and args.run_ids:
+        exported = (_rows(name, args) for name in dict.fromkeys(args.run_ids))
+    else:
+        store = Store(args.store)
+        runs = _chosen(store, args.run_ids, finished=True)
+        print_problems(store)
+        if not runs:
+            raise UserError(f"{args.store}/ has no finished runs: name those to export")
+        exported = (path for run in runs for path in _exported(run, args))
     with _all_or_none(args.out) as made:
-        for run in runs:
-            for path in _exported(run, args):
-                made.append(path)
+        for path in exported:
+            made.append(path)
     paths = [str(path) for path in made]
     return _output(args, paths, paths)
 
@@ -338,12 +344,22 @@ def _exported(run: RunReader, args: argparse.Namespace) -> Iterator[Path]:
         yield export_small(run, args.out, args.keep, args.without)
         yield from copy_small(args.store, run.run_id, args.out)
     elif args.rows is not None:
-        from tom.frames import Run
-
-        path = args.out / f"{run.run_id}-rows-{args.rows}.parquet"
-        yield export_rows(Run(run).rows(args.rows), path)
+        yield _rows(run.run_id, args)
     else:
         yield export(run, args.format or "csv", args.out)
+
+
+def _rows(name: str, args: argparse.Namespace) -> Path:
+    """Export the rows of a fit of the run `name`, or those of the weighing."""
+    from tom.frames import Run, load
+
+    made = load(name, args.store)
+    if isinstance(made, Run):
+        step = made.fit(None if args.rows == LAST else args.rows)
+        return export_rows(made.rows(step), args.out / f"{made.name}-rows-{step}.parquet")
+    if args.rows != LAST:
+        raise UserError(f"{name} is a weighing, which has one buffer: --rows without a step")
+    return export_rows(made.rows(), args.out / f"{Path(name).name}-rows.parquet")
 
 
 @contextmanager

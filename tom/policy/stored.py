@@ -19,6 +19,7 @@ from torch import Tensor
 from torch.nn.functional import relu
 
 from tom.config import SacConfig
+from tom.data.transitions import TensorTransitions
 from tom.data.unpack import DAMAGE, read_arrays
 from tom.errors import UserError, reason
 from tom.nn.mlp import StackedMLP
@@ -59,6 +60,13 @@ class StoredPolicy(Actor):
         self.obs_dim, self.action_dim = sizes[0], sizes[-1] // 2
         super().__init__(actor)
         self.value_gradient = self._value_gradient(arrays, actor)
+
+    def distances(self, rows: TensorTransitions) -> Tensor:
+        """The distance (N,) from each action to the policy's mean action there.
+
+        Root mean square over the action's dimensions; actions are in [-1, 1].
+        """
+        return (self.mean(rows.obs) - rows.action).square().mean(-1).sqrt()
 
     def _value_gradient(
         self, arrays: Arrays, actor: StackedMLP
