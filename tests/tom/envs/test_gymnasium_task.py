@@ -322,25 +322,25 @@ def test_the_bounds_of_actions_are_taken_in_double_precision():
 def test_a_module_is_imported_where_the_user_names_it_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    (tmp_path / "own_tasks.py").write_text(
+    (tmp_path / "tasks_of_mine.py").write_text(
         "import gymnasium as gym\nfrom gymnasium.envs.classic_control import PendulumEnv\n"
         "gym.register('Own-v0', PendulumEnv, max_episode_steps=50)\n"
         "def fallen(obs):\n    return obs[:, 0] < 0\n"
     )
     monkeypatch.chdir(tmp_path)
-    name = "own_tasks:Own-v0"
-    with pytest.raises(UserError, match="add --env own_tasks:Own-v0"):
+    name = "tasks_of_mine:Own-v0"
+    with pytest.raises(UserError, match="add --env tasks_of_mine:Own-v0"):
         task(name)
     with pytest.raises(UserError, match="nowhere"):
         bring("nowhere:Own-v0")
     bring(name)
     assert task(name).max_episode_steps == 50
-    with pytest.raises(UserError, match="add --termination own_tasks:fallen"):
-        rule(task(name), "own_tasks:fallen")
+    with pytest.raises(UserError, match="add --termination tasks_of_mine:fallen"):
+        rule(task(name), "tasks_of_mine:fallen")
     with pytest.raises(UserError, match="risen"):
-        bring_rule("own_tasks:risen")
-    bring_rule("own_tasks:fallen")
-    ends = rule(task(name), "own_tasks:fallen")
+        bring_rule("tasks_of_mine:risen")
+    bring_rule("tasks_of_mine:fallen")
+    ends = rule(task(name), "tasks_of_mine:fallen")
     assert ends(torch.tensor([[-0.5, 0, 0], [0.5, 0, 0]])).tolist() == [True, False]
 
 
