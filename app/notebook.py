@@ -8,16 +8,17 @@ from app.data.buffer import Floats, rows_at
 from app.figures.base import steps_in_words
 from app.figures.curves import run_curves
 from app.figures.probe import probe_profiles
-from app.figures.regions import apart_bars, region_map
+from app.figures.regions import apart_bars, cell_map
 from app.figures.weights import effective_sample, weight_map, weight_profile
 from app.theme import learner_label
+from tom.analysis import planes
 from tom.analysis.curves import Curve, curve_points
 from tom.frames import Run, Weighing
 from tom.record.task_record import dimension_names
 
 RETURN = "eval/return"
 HEAVIEST = 0.01
-"""the share of rows in the region, as in the default of Attention"""
+"""the share of rows of which it is said what sets them apart"""
 
 
 class Figures(dict[str, go.Figure]):
@@ -73,12 +74,15 @@ def _regions(weighing: Weighing, column: str, weight: Floats, height: int) -> Fi
     rows = rows_at(weighing.recorded, version, weight, len(weight))
     assert rows is not None
     name = f"{learner_label(learner)} s{seed}"
-    plane, mask = regions.principal_plane(rows.rows), regions.heaviest(weight, HEAVIEST)
+    mask = regions.heaviest(weight, HEAVIEST)
     names, actions = dimension_names(str(weighing.report["env"]), rows.rows)
+    table, described = planes.features(rows.rows, names, actions)
+    plane = planes.contrast(table, weight, described)
+    xy = plane.project(table)
     gaps = regions.apart(rows, mask, names + actions)
     return Figures(
         {
-            f"the data by {name}": region_map(plane, rows, mask, [], "light", height, column),
+            f"the data by {name}": cell_map(xy, plane.names, weight, "light", height, column),
             f"what sets {name}'s heaviest 1 % apart": apart_bars(gaps, height),
         }
     )

@@ -56,6 +56,39 @@ COLUMNS: dict[Mode, list[tuple[float, str]]] = {
     "light": [(0.0, "#5b94e9"), (0.5, "#888e9b"), (0.75, "#dd6722"), (1.0, "#c22c06")],
     "dark": [(0.0, "#3d6fbe"), (0.5, "#687084"), (0.75, "#dd6a2c"), (1.0, "#ffcd9c")],
 }
+# The map of a buffer: the middle is far from the page's background, which means no rows.
+BLUE_TO_ORANGE: dict[Mode, list[tuple[float, str]]] = {
+    "light": [
+        (0.0, "#0b3c8c"),
+        (0.25, "#4f8fe0"),
+        (0.5, "#d3d0cb"),
+        (0.75, "#ee7f3c"),
+        (1.0, "#a82a00"),
+    ],
+    "dark": [
+        (0.0, "#1c57b8"),
+        (0.25, "#4a83d6"),
+        (0.5, "#5a606d"),
+        (0.75, "#e8762f"),
+        (1.0, "#ffd2a1"),
+    ],
+}
+RISING: dict[Mode, list[tuple[float, str]]] = {
+    "light": [
+        (0.0, "#440154"),
+        (0.25, "#3b528b"),
+        (0.5, "#21918c"),
+        (0.75, "#5ec962"),
+        (1.0, "#d8c916"),
+    ],
+    "dark": [
+        (0.0, "#5a3a8f"),
+        (0.25, "#4a70b5"),
+        (0.5, "#21a18c"),
+        (0.75, "#7ad151"),
+        (1.0, "#fde725"),
+    ],
+}
 SEQUENTIAL: dict[Mode, list[tuple[float, str]]] = {
     "light": [(0.0, "#f6f5f2"), (0.35, "#f3b48f"), (0.7, "#d65a26"), (1.0, "#6b1a02")],
     "dark": [(0.0, "#20242e"), (0.35, "#7a3415"), (0.7, "#e0682f"), (1.0, "#ffd9a8")],

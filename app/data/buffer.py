@@ -4,6 +4,7 @@ Pure functions of rows first, then what is read from a run's folder, cached unti
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +13,13 @@ from numpy.typing import NDArray
 from app.data.cache import VersionedCache, cached
 from app.data.readers import reader
 from tom.analysis.imagine import step_errors, stored_model, stored_step
+from tom.analysis.weighing import load_policy
 from tom.data.transitions import Transitions, episodes
 from tom.envs import ROAD, Task
 from tom.errors import UserError
+from tom.policy.stored import StoredPolicy
 from tom.record.reader import Recorded, RunReader
+from tom.record.store import Store
 from tom.record.task_record import scene_of, task_of
 
 Floats = NDArray[np.float64]
@@ -181,6 +185,42 @@ def model_errors(run: RunReader, step: int) -> tuple[NDArray[np.int64], Floats, 
         return str(error)
     index = _evenly(len(weighed), ERROR_ROWS)
     return index, step_errors(kept.predictor, weighed.rows[index]).astype(np.float64), kept.env_step
+
+
+def has_model(run: RunReader) -> bool:
+    """Whether the run has a stored model, which may be damaged."""
+    return stored_step(run) is not None
+
+
+def model_errors_of(run: RunReader, index: NDArray[np.int64]) -> Floats:
+    """The stored model's error on recorded rows, (N,) of the record: NaN for all others."""
+    whole = recorded(run).rows
+    errors = np.full(len(whole), np.nan)
+    with suppress(UserError):  # the page says what is damaged
+        errors[index] = step_errors(stored_model(run).predictor, whole[index])
+    return errors
+
+
+def last_policy(run: RunReader) -> StoredPolicy | None:
+    """The policy that a run ended with; None if there is none that can be read."""
+    known = described_task(run)
+    try:
+        found = None if known is None else load_policy(str(run.path), Store(run.path.parent), known)
+    except UserError:
+        return None
+    return found if isinstance(found, StoredPolicy) else None
+
+
+def policy_distances(run: RunReader) -> Floats:
+    """The distance (N,) from each recorded action to the mean action of the run's last policy.
+
+    Root mean square over the action's dimensions; actions are in [-1, 1].
+    """
+    rows, policy = recorded(run).rows.torch(), last_policy(run)
+    if policy is None:
+        return np.full(len(rows), np.nan)
+    gap = (policy.mean(rows.obs) - rows.action).square().mean(-1).sqrt()
+    return gap.numpy().astype(np.float64)
 
 
 def errors_on(run: RunReader, other: RunReader) -> Floats | None:

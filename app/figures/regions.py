@@ -1,4 +1,4 @@
-"""The map of a replay buffer, what sets a region apart, and a weight as the sum of its terms."""
+"""A buffer in cells, what sets rows apart, and a weight as the sum of its terms."""
 
 import textwrap
 from collections.abc import Sequence
@@ -8,27 +8,19 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.data.buffer import Against, Floats, Rows
-from app.data.regions import Mask, Plane
+from app.data.buffer import Against, Floats
 from app.data.weighings import Brushed
 from app.figures.base import across, line, note, octaves, relative_scale, styled, upright
-from app.theme import COLUMNS, NEUTRAL, TEXT, Mode, learner_colour, ramp
+from app.theme import NEUTRAL, Mode, learner_colour, ramp
 from tom import readable
 from tom.analysis.brush import POLICY, REGION, REST
 from tom.analysis.why import Sum
-from tom.spread import spread
 
-POINTS = 8000
-"""maximum number of transitions on a map; the figure says if some were left out"""
-RINGS = 2000
-"""maximum number of marked transitions of a region"""
+CELL_ROWS = 5
+"""rows in a cell if they lay evenly"""
 BARS = 8
 TITLE_LETTERS = 22
 """in a line of an axis title; four panels stand beside each other on a narrow window"""
-HOVER = (
-    "step %{customdata[0]:,}<br>episode %{customdata[1]:,}, its step %{customdata[2]:,}<br>"
-    "%{customdata[3]}<br>reward %{customdata[4]:.3g}<br>weight %{customdata[5]:.3g}<extra></extra>"
-)
 NAMES = {
     REGION: "held-out, in the region",
     REST: "held-out, elsewhere",
@@ -37,83 +29,31 @@ NAMES = {
 BELOW = "#6f9fe8"
 
 
-def region_map(
-    plane: Plane,
-    rows: Rows,
-    region: Mask,
-    outline: Sequence[tuple[float, float]],
-    mode: Mode,
-    height: int,
-    keep: str,
+def cell_map(
+    xy: NDArray, names: tuple[str, str], weight: Floats, mode: Mode, height: int, keep: str
 ) -> go.Figure:
-    """Every transition (N,) as a point, coloured by its weight, the heaviest on top.
+    """The rows (N, 2) of a plane in cells, coloured by log2 (share of weight / share of rows).
 
-    Points of the region (N,) have a ring.
+    Few rows make a cell paler. A zoom lasts while `keep` is the same.
     """
-    weight = rows.weight
-    shown = spread(len(weight), POINTS)
-    shown = shown[np.argsort(weight[shown], kind="stable")]
-    scale = relative_scale(weight, mode)
-    marker = {
-        "size": 5,
-        "color": octaves(weight[shown]),
-        "cmin": scale["zmin"],
-        "cmax": scale["zmax"],
-        "colorscale": COLUMNS[mode],  # points must be visible at every weight
-        "colorbar": scale["colorbar"],
-        "line": {"width": 0},
-    }
+    across_ = max(round(np.sqrt(len(weight) / CELL_ROWS)), 1)
+    ends = [np.linspace(*np.quantile(axis, [0.001, 0.999]), across_ + 1) for axis in xy.T]
+    rows, *_ = np.histogram2d(*xy.T, bins=ends)
+    mass, *_ = np.histogram2d(*xy.T, bins=ends, weights=weight / weight.mean())
+    relative = np.where(rows > 0, mass / np.maximum(rows, 1), np.nan)
+    middles = [(end[1:] + end[:-1]) / 2 for end in ends]
     figure = go.Figure(
-        go.Scattergl(
-            x=plane.x[shown],
-            y=plane.y[shown],
-            customdata=hover_data(rows, shown),
-            mode="markers",
-            marker=marker,
-            unselected={"marker": {"opacity": 0.35}},
-            name="transitions",
-            hovertemplate=HOVER,
+        go.Heatmap(
+            x=middles[0],
+            y=middles[1],
+            z=octaves(relative).T,
+            customdata=rows.T,
+            hovertemplate="%{customdata:,} rows<br>weight 2^%{z:.2f} of the mean<extra></extra>",
+            **relative_scale(relative[rows > 0], mode),
         )
     )
-    ringed = np.flatnonzero(region) if not region.all() else np.zeros(0, np.int64)
-    ringed = ringed[spread(len(ringed), RINGS)]
-    figure.add_trace(
-        go.Scattergl(
-            x=plane.x[ringed],
-            y=plane.y[ringed],
-            mode="markers",
-            marker={"size": 8, "symbol": "circle-open", "color": TEXT[mode], "line": {"width": 1}},
-            opacity=0.55,
-            hoverinfo="skip",
-            name="region",
-        )
-    )
-    marks = []
-    if outline:  # the lasso or box that the user has drawn
-        path = "M" + "L".join(f"{x},{y}" for x, y in outline) + "Z"
-        marks = [{"type": "path", "path": path, "line": {"color": TEXT[mode], "width": 1.5}}]
-    x, y = text.plotly(plane.x_name), text.plotly(plane.y_name)
-    layout = {"dragmode": "lasso", "showlegend": False, "margin": {"r": 4}}
-    styled(figure, x, height, keep=keep, marks=marks, y=y, **layout)
-    words = f"{len(shown):,} of {len(weight):,} transitions, drawn evenly"
-    return note(figure, [words] if len(shown) < len(weight) else [])
-
-
-def hover_data(rows: Rows, index: NDArray[np.int64]) -> NDArray[np.object_]:
-    """Hover data of rows (K,): step, episode, step in it, phase, reward, weight: (K, 6)."""
-    version = rows.version[index]
-    phase = np.where(version == 0, "exploration", np.char.add("policy ", version.astype(str)))
-    if not rows.policies_known:
-        phase = np.full(len(index), "policy not known")
-    columns = (
-        rows.first + index + 1,
-        rows.episode[index] + 1,
-        rows.place[index] + 1,
-        phase,
-        np.asarray(rows.rows.reward)[index],
-        rows.weight[index],
-    )
-    return np.stack([np.asarray(column, object) for column in columns], -1)
+    x, y = (text.plotly(name) for name in names)
+    return styled(figure, x, height, keep=keep, y=y)
 
 
 def apart_bars(gaps: Sequence[tuple[str, float]], height: int, *, keep: str = "") -> go.Figure:

@@ -70,6 +70,7 @@ class StatesChoice:
     light: tuple[int, ...]
     heavy_weights: tuple[float, ...]
     light_weights: tuple[float, ...]
+    titles: tuple[str, str] = ("heaviest", "lightest")
 
 
 Choice = RoadChoice | ReplayChoice | StatesChoice

@@ -165,8 +165,8 @@ def _groups(
         raise UserError("these transitions are no longer in the run's record")
     groups = []
     for words, rows, weights in (
-        ("heaviest", choice.heavy, choice.heavy_weights),
-        ("lightest", choice.light, choice.light_weights),
+        (choice.titles[0], choice.heavy, choice.heavy_weights),
+        (choice.titles[1], choice.light, choice.light_weights),
     ):
         if rows:
             qpos = poses(task_of(run), recorded, state, windows(ended, rows))

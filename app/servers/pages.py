@@ -22,7 +22,7 @@ from starlette.responses import (
 from starlette.routing import Route
 from streamlit import config, file_util
 
-from app.data import readers, studies
+from app.data import arrays, readers, studies
 from app.guard import Guard
 from app.links import Links
 from app.parts import shortlinks
@@ -137,6 +137,13 @@ def routes(links: Links) -> list[Route]:
     def library(_: Request) -> Response:
         return FileResponse(LIBRARY, headers={"Cache-Control": "max-age=31536000, immutable"})
 
+    def array(request: Request) -> Response:
+        content = arrays.content(request.path_params["name"])
+        if content is None:
+            return PlainTextResponse("no such array", status_code=404)
+        headers = {"Cache-Control": "private, max-age=31536000, immutable"}
+        return Response(content, media_type=RECORDING, headers=headers)
+
     async def figure(request: Request) -> Response:
         from app.figures import paper  # here: it imports matplotlib
 
@@ -167,6 +174,7 @@ def routes(links: Links) -> list[Route]:
         Route("/rrd/{run}/{name}", recording),
         Route("/api/health", health),
         Route(LIBRARY_PATH, library),
+        Route(f"{arrays.PATH}/{{name}}", array),
         Route("/api/figure", figure, methods=["POST"]),
         *page_routes([view.PATH for view in views()]),
     ]

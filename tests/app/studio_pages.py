@@ -74,6 +74,12 @@ def figures(app: AppTest) -> list[dict[str, Any]]:
     return [json.loads(json.loads(chart.json)["figure"]) for chart in charts]
 
 
+def map_of(app: AppTest) -> dict[str, Any]:
+    """What the page gives to the buffer's map."""
+    [part] = [p for p in app.get("bidi_component") if p.proto.component_name == "tom_map"]
+    return json.loads(part.proto.json)["given"]
+
+
 def is_chart(proto: Any) -> bool:
     return proto.component_name == "tom_plot"
 

@@ -176,6 +176,12 @@ class NeuralDynamics:
         return self._unscale(obs, self.mean(self.outputs(x)[self.elites]).mean(0))
 
     @torch.no_grad()
+    def hidden(self, obs: Tensor, action: Tensor) -> Tensor:
+        """The last hidden layer of the best network for obs (B, O), action (B, A): (B, H)."""
+        x = self.input_scaling(torch.cat([obs, action], -1))
+        return self.net.hidden(int(self.elites[0]), x)
+
+    @torch.no_grad()
     def nll(self, rows: TensorTransitions) -> Tensor | None:
         """The elites' mean loss of each target dimension, (N, 1 + O); None without a likelihood."""
         losses = self.loss_per_dim(self.outputs(self.inputs(rows)), self.scaled_targets(rows))

@@ -80,6 +80,13 @@ class StackedMLP(nn.Module):
         only = slice(index, index + 1)
         return self._run(x.unsqueeze(0), [(w[only], b[only]) for w, b in self.layers]).squeeze(0)
 
+    @torch.no_grad()
+    def hidden(self, index: int, x: Tensor) -> Tensor:
+        """The last hidden layer of network `index`: (B, in) -> (B, H)."""
+        only = slice(index, index + 1)
+        layers = [(w[only], b[only]) for w, b in self.layers[:-1]]
+        return self.activation(self._run(x.unsqueeze(0), layers)).squeeze(0)
+
     def _run(self, x: Tensor, layers: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
         in_place = None if torch.is_grad_enabled() else _IN_PLACE.get(self.activation)
         activation, last = in_place or self.activation, len(layers) - 1

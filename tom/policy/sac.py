@@ -187,6 +187,10 @@ class Actor:
         """Mean actions for obs (B, O): (B, A)."""
         return torch.tanh(self._gaussian(obs)[0])
 
+    def hidden(self, obs: Tensor) -> Tensor:
+        """The actor's last hidden layer for obs (B, O): (B, H)."""
+        return self._actor.hidden(0, obs.to(self._actor.layers[0][0].device))
+
     def _gaussian(self, obs: Tensor) -> tuple[Tensor, Tensor]:
         obs = obs.to(self._actor.layers[0][0].device)
         return _gaussian(self._actor.member(0, obs))

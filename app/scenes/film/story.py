@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from app.data import buffer, readers
 from app.data.buffer import WINDOW, windows
 from app.data.called import names
-from app.data.regions import principal_plane
 from app.scenes.states import poses
+from tom.analysis import planes
 from tom.analysis.curves import curve_points
 from tom.data.transitions import Transitions
 from tom.envs import ROAD, Task
@@ -77,7 +77,9 @@ def _returns(run: RunReader) -> dict[str, list[float]]:
 
 def _cloud(rows: Transitions) -> dict[str, Any]:
     """Evenly chosen transitions of the buffer, on its two principal components in [0, 1]."""
-    plane = principal_plane(rows)
+    obs, action = (range(np.shape(part)[1]) for part in (rows.obs, rows.action))
+    table, names = planes.features(rows, [str(i) for i in obs], [str(i) for i in action])
+    x, y = planes.principal(table, names).project(table).T
     index = spread(len(rows), POINTS)
 
     def unit(x: NDArray) -> NDArray[np.float32]:
@@ -86,8 +88,8 @@ def _cloud(rows: Transitions) -> dict[str, Any]:
 
     return {
         "row": packed(index.astype(np.int32)),
-        "x": packed(unit(plane.x)),
-        "y": packed(unit(plane.y)),
+        "x": packed(unit(x)),
+        "y": packed(unit(y)),
     }
 
 

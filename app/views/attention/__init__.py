@@ -28,7 +28,7 @@ from app.parts.plot import Follow, Point, chart
 from app.parts.readout import Number
 from app.parts.scope import Scope
 from app.views.answer.model_error import in_turn
-from app.views.attention import exam, learners, regions, road, why
+from app.views.attention import exam, in_buffer, learners, road, why
 from tom import readable
 from tom.envs import ROAD
 from tom.learners import LEARNERS
@@ -60,7 +60,7 @@ def page(scope: Scope) -> None:
     if part == LEARNERS_ON_IT:
         learners.draw(scope)
     elif part == BUFFER:
-        regions.draw(scope)
+        in_buffer.draw(scope)
     else:
         _over_time(scope, row)
 

@@ -96,7 +96,7 @@ def _why_not(run: RunReader, count: int, of: int, base: str | None) -> str:
         words = text.markdown(f"tom brush {run.run_id} --env {run.env} --rows FILE --step N")
         return f"It runs code of yours, so it is started in a terminal: {words}"
     if not 0 < count < of:
-        return "Draw a region that holds some of the buffer, not all of it."
+        return "Choose some rows of the buffer above, not all of them."
     return "" if base is not None else "The file that these weights come from has changed."
 
 

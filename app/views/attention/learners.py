@@ -17,8 +17,8 @@ from app.parts.plot import chart
 from app.parts.scope import Scope
 from app.theme import learner_label
 from app.views.attention import weigh
+from app.views.attention.in_buffer import pick_data
 from app.views.attention.progress import show_notices
-from app.views.attention.regions import pick_data
 from tom import readable
 from tom.envs import ROAD
 

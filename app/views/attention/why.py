@@ -1,7 +1,5 @@
 """Why this weight? A transition, the terms of its weight, its neighbours, its rollouts."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pandas as pd
 import streamlit as st
@@ -10,10 +8,9 @@ from app import session, text
 from app.data import buffer, trainings, weighings
 from app.data import why as reasons
 from app.data.buffer import Rows
-from app.data.regions import Plane
 from app.data.why import Source
 from app.figures.regions import rollout_lines, waterfall
-from app.parts.plot import Point, chart
+from app.parts.plot import chart
 from app.theme import learner_label
 from app.views.attention import progress
 from tom.analysis.why import Sum
@@ -40,15 +37,17 @@ FLOWS = {
 }
 
 
-def clicked(rows: Rows, plane: Plane) -> Callable[[Point], None]:
-    """The handler of a click on a map of `plane`: it selects the transition there."""
+def pick(row: int) -> None:
+    """Choose the transition with this number in the run's record."""
+    st.session_state[KEY] = row
 
-    def pick(point: Point) -> None:
-        spread = [max(float(np.ptp(axis)), 1e-12) for axis in (plane.x, plane.y)]
-        gap = np.hypot((plane.x - point.x) / spread[0], (plane.y - point.y) / spread[1])
-        st.session_state[KEY] = rows.first + int(gap.argmin())
 
-    return pick
+def asked(rows: Rows) -> int | None:
+    """The chosen row of the buffer, before its widget is drawn; None if there is none."""
+    held = st.session_state.get(KEY, st.query_params.get(KEY, ""))
+    row = None if held is None else text.whole(held)
+    last = rows.first + len(rows) - 1
+    return None if row is None or not rows.first <= row <= last else row - rows.first
 
 
 def section(run: RunReader, rows: Rows) -> None:

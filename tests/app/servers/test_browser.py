@@ -1,7 +1,6 @@
 """The studio in a real browser: its frames really draw, nothing fails, nothing goes outside."""
 
 import io
-import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -205,34 +204,22 @@ def keep_the_chosen_run(visit: Visit) -> None:
 
 
 def lasso_a_region(page: "Page") -> None:
-    # By its name: the charts of the part before are still there for a moment.
-    chart = page.locator('.js-plotly-plot[aria-label^="the buffer"]')
-    chart.locator(".nsewdrag").first.wait_for()
-    frame = chart.locator(".nsewdrag").first.bounding_box()
+    """A lasso chooses rows in the browser, and then on the server."""
+    page.locator(".buffer-map[data-drawn]").wait_for()
+    frame = page.locator(".map-over").bounding_box()
     assert frame is not None
-    corners = [(0.2, 0.2), (0.8, 0.2), (0.8, 0.8), (0.2, 0.8), (0.2, 0.25)]
+    corners = [(0.3, 0.3), (0.7, 0.3), (0.7, 0.7), (0.3, 0.7), (0.3, 0.35)]
     places = [(frame["x"] + a * frame["width"], frame["y"] + b * frame["height"])
               for a, b in corners]  # fmt: skip
-    heaviest = region_size(page)
     page.mouse.move(*places[0])
     page.mouse.down()
     for place in places[1:]:
         page.mouse.move(*place, steps=4)
     page.mouse.up()
     page.wait_for_url("**/attention?*outline=*")
-    deadline = time.monotonic() + DRAWN_S
-    while region_size(page) == heaviest:
-        assert time.monotonic() < deadline, "the lasso chose nothing"
-        page.wait_for_timeout(200)
-    inside, buffer = region_size(page)
-    assert heaviest[0] < inside < buffer
-
-
-def region_size(page: "Page") -> tuple[int, int]:
-    """Transitions in the region and in the buffer, as the page says."""
-    words = page.locator("p", has_text="In the region").first.inner_text()
-    inside, buffer = re.findall(r"[\d,]+(?= of | transitions)", words)
-    return int(inside.replace(",", "")), int(buffer.replace(",", ""))
+    inside = page.evaluate("Number(document.querySelector('.buffer-map').dataset.rows)")
+    assert inside > 0
+    page.get_by_role("button", name=f"Fit small models: {inside:,} transitions").wait_for()
 
 
 def play_an_episode(page: "Page") -> None:

@@ -148,7 +148,7 @@ def test_the_rows_of_a_brush_are_kept_until_it_ends(
 ) -> None:
     monkeypatch.setattr(trainings, "start", lambda words: stand_in(words, WAITING))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    app = in_buffer(run=PENDULUM_TOM, step=str(FIT))
+    app = in_buffer(run=PENDULUM_TOM, step=str(FIT), where="weight rank 99..")
     app.button(key="brush it").click().run()
     begun = app.session_state[BEGUN]
     try:

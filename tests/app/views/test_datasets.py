@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import streamlit as st
 import torch
-from studio_pages import array, draw, figures, set_links
+from studio_pages import draw, figures, map_of, set_links
 
 from app.data import weighings
 from app.links import Links
@@ -104,18 +104,15 @@ def test_a_weighing_of_random_rows_and_those_of_a_step_shows_all_its_rows(
     (made,) = weighings.of_run(found, 2 * N)
     assert (made.step, made.end, made.missing(2 * N)) == (N, 2 * N, "")
     set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    app = in_buffer(run=found.run_id, weights="PMAC s0, both", region="everything")
-    assert figures(app)
+    app = in_buffer(run=found.run_id, weights="PMAC s0, both")
+    assert map_of(app)["sources"][0]["count"] == 2 * N
 
 
 def test_the_map_counts_the_rows_of_the_file(weighed: Path):
     learner = "PMAC s0, first"
-    app = in_buffer(run=named(weighed, "my buffer"), weights=learner, region="everything")
+    app = in_buffer(run=named(weighed, "my buffer"), weights=learner)
     assert learner in app.selectbox(key="weights").options
-    table = app.dataframe[0].value.set_index("")
-    assert table.loc["transitions", "buffer"] == str(N)
-    (points,) = figures(app)[0]["data"][:1]
-    assert len(array(points["x"])) == N
+    assert map_of(app)["sources"][0]["count"] == N
 
 
 def test_weights_that_cannot_be_read_are_said(weighed: Path, tmp_path: Path, monkeypatch):

@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
-from studio_pages import array, draw, figures, set_links
+from studio_pages import array, draw, figures, map_of, set_links
 from studio_runs import PENDULUM_TOM, undescribed
 
 from app.data import buffer, readers, replays
@@ -91,7 +91,7 @@ def test_robots_stand_in_the_states_of_a_buffer(shown: Path, run_id: str):
     assert len(robots.position) == 2
     assert np.isfinite(robots.floor)
     assert np.abs(robots.position[:, 0] - robots.position[:, 24]).max() > 1e-4
-    assert figures(in_buffer(run=run_id))
+    assert map_of(in_buffer(run=run_id))["planes"]
 
 
 @pytest.mark.parametrize("run_id", [PENDULUM, f"absent-{PENDULUM}"])
@@ -121,7 +121,7 @@ def test_a_run_whose_task_is_not_described_has_no_robot(own: Path):
     assert "\n" not in said.value
     regions = in_buffer(run=PENDULUM_TOM)
     assert not regions.get("iframe")
-    assert figures(regions)
+    assert map_of(regions)["columns"]
 
 
 def test_code_of_the_users_is_named_in_a_terminal_alone(shown: Path):
@@ -133,7 +133,8 @@ def test_code_of_the_users_is_named_in_a_terminal_alone(shown: Path):
     regions = in_buffer(run="absent-Swimmer-v5")
     assert any("tom brush absent" in said.value for said in regions.caption)
     assert "brush it" not in [button.key for button in regions.button]
-    assert "brush it" in [button.key for button in in_buffer(run="Swimmer-v5").button]
+    some = in_buffer(run="Swimmer-v5", where="age ..50")
+    assert "brush it" in [button.key for button in some.button]
     for run, offered in (("absent-Swimmer-v5", False), ("Swimmer-v5", True)):
         of_a_row = in_buffer(run=run, row="5")
         assert ("why weigh" in [button.key for button in of_a_row.button]) == offered
@@ -166,8 +167,6 @@ def test_the_buffers_map_of_a_task_of_one_observation(
     finally:
         del gym.registry["Heat-v0"]
     set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    for query in ({}, {"across": "obs 1"}, {"across": "observation 1"}):
-        app = in_buffer(run="heat", **query)
-        across = app.selectbox(key="across")
-        assert across.options == [across.value]
-        assert figures(app)
+    for query in ({}, {"plane": "two"}, {"plane": "two", "across": "observation 1"}):
+        [plane] = map_of(in_buffer(run="heat", **query))["planes"]
+        assert plane["key"].startswith("two@" if query else "contrast@")

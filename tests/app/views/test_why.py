@@ -8,19 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import streamlit as st
 import torch
 from studio_pages import array, draw, figures, metrics, set_links, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import buffer, weighings, why
 from app.data.buffer import Rows
-from app.data.regions import Plane
-from app.figures.regions import hover_data
 from app.links import Links
-from app.parts.plot import Point
 from app.views.attention.region_tables import listed
-from app.views.attention.why import clicked
 from tom.analysis import why as reasons
 from tom.cli import main
 from tom.record import Store, layout
@@ -141,14 +136,6 @@ def test_starts_of_rollouts_are_drawn_as_the_run_draws_them(tmp_path: Path) -> N
         assert why.starts(run, rows, row) == pytest.approx((expected, 1000 / 300), rel=1e-4)
 
 
-def test_a_click_asks_about_the_point_under_it(store: Path) -> None:
-    rows = own_rows(store)
-    plane = Plane(np.arange(FIT * 1.0), np.zeros(FIT), "a", "b")
-    clicked(rows, plane)(Point(17.0, 0.0, 3, None))
-    assert st.session_state["row"] == 17
-    del st.session_state["row"]
-
-
 @pytest.mark.usefixtures("studio")
 @pytest.mark.parametrize("part", ["Over time", "In the buffer"])
 def test_the_page_says_why(store: Path, part: str) -> None:
@@ -198,10 +185,9 @@ def test_a_row_that_the_buffer_does_not_have_is_dropped(store: Path, row: str) -
 def test_the_numbers_of_a_row_are_those_of_the_map_and_the_table(store: Path) -> None:
     rows = own_rows(store)
     shown = metrics(in_buffer(run=PENDULUM_TOM, step=str(FIT), row="40"))
-    told = hover_data(rows, np.array([40]))[0]
-    assert shown["its step in its episode"] == str(told[2])
     line = listed(rows, np.array([40]), [f"obs {i}" for i in range(4)], ["action 1"]).iloc[0]
-    assert (line["row"] + 1, line["episode"], line["step of the episode"]) == tuple(told[:3])
+    assert shown["its step in its episode"] == str(line["step of the episode"])
+    assert (line["row"], line["episode"]) == (rows.first + 40, rows.episode[40] + 1)
     equal = metrics(in_buffer(run="pendulum-mle-0", step=str(FIT), row="5"))
     assert equal["heavier than"] == "0.0 %"
 

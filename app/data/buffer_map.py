@@ -1,0 +1,299 @@
+"""The map of a buffer: its planes, the weights on it, and which rows a selection chooses."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.data import buffer, columns, weighings
+from app.data.arrays import offer
+from app.data.buffer import Rows
+from app.data.cache import VersionedCache, cached
+from app.data.columns import AGE, RANK, WEIGHT, Column
+from app.data.selection import Mask, Selection, between, inside
+from app.data.weighings import Dataset, Weighing
+from app.theme import learner_label
+from tom.analysis import planes
+from tom.analysis.brush import AS_IT_IS
+from tom.analysis.imagine import stored_model
+from tom.analysis.planes import Plane
+from tom.dynamics.neural import NeuralDynamics
+from tom.envs import ROAD
+from tom.errors import UserError
+from tom.record.reader import RunReader
+from tom.record.task_record import dimension_names
+from tom.reports.weighing_files import called
+from tom.spread import spread
+
+CONTRAST, PRINCIPAL, POLICY, MODEL, TWO = "contrast", "principal", "policy", "model", "two"
+WEIGHINGS = 3
+"""maximum number of weighings, and of brushes, to choose from, the newest"""
+JUDGED = 50_000
+"""maximum number of rows from which the share that a plane explains is computed"""
+CHUNK = 65_536
+"""rows whose hidden layers are held at a time"""
+NEAREST = 10
+
+
+@dataclass(frozen=True)
+class Source:
+    """Weights (N,) of the N recorded rows before row `end`."""
+
+    label: str
+    weight: NDArray[np.float32]
+    end: int
+    version: object
+    weighing: Weighing | None = None
+
+    @property
+    def first(self) -> int:
+        return self.end - len(self.weight)
+
+
+def fits(run: RunReader) -> dict[str, Source]:
+    """The weights of a run's own fits by their step, in order; those it lacks rows of left out."""
+    length, found = buffer.length(run), {}
+    for step in run.snapshot_steps():
+        weight = columns.fit_weight(run, step)
+        end = length if run.env == ROAD else step
+        if 0 < len(weight) <= end <= length:
+            found[str(step)] = Source(str(step), weight, end, run.version("snapshot", step))
+    return found
+
+
+def others(run: RunReader) -> dict[str, Source]:
+    """What `tom weigh` and brushes made of a run's buffer, by label: the newest."""
+    length = buffer.length(run)
+    made, brushes = weighings.of_run(run, length), weighings.brushes(run, length)
+    return {
+        label: Source(label, weight, weighing.end, weighing.written, weighing)
+        for weighing in (*made[:WEIGHINGS], *brushes[:WEIGHINGS])
+        for (learner, seed), weight in weighing.weights().items()
+        if not (weighing.brush and learner == called(AS_IT_IS))
+        and len(weight) <= weighing.end <= length
+        for label in [f"{learner_label(learner)} s{seed}, {weighing.name}"]
+    }
+
+
+def sources(run: RunReader) -> dict[str, Source]:
+    """All weights of a run's buffer."""
+    return ({} if isinstance(run, Dataset) else fits(run)) | others(run)
+
+
+def rows(run: RunReader, source: Source) -> Rows | None:
+    """The rows of these weights."""
+    key = run.path, source.label
+    return _ROWS.get(
+        key, lambda: buffer.weighed_rows(run, source.weight, source.end),
+        (run.version("buffer"), source.version),
+    )  # fmt: skip
+
+
+_ROWS: VersionedCache[Rows | None] = VersionedCache()
+
+
+@cached("buffer")
+def features(run: RunReader) -> tuple[NDArray[np.float32], list[str]]:
+    """(s, a, s') of all recorded rows, standardised (N, D), and the names of the dimensions."""
+    recorded = buffer.recorded(run).rows
+    names, actions = dimension_names(run.env, recorded, buffer.described(run))
+    return planes.features(recorded, names, actions)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A plane and the place of every recorded row on it."""
+
+    key: str
+    names: tuple[str, str]
+    xy: NDArray[np.float32]  # (N, 2)
+
+    def column(self, axis: int) -> Column:
+        """One axis as a quantity, over all its values."""
+        values = self.xy[:, axis]
+        return Column(f"{self.key} {axis}", float(values.min()), float(values.max()))
+
+    def codes(self, axis: int) -> columns.Codes:
+        """The rows' codes on an axis."""
+        column = self.column(axis)
+        return columns.encode(self.xy[:, axis], column.low, column.high)
+
+
+def placed(run: RunReader, key: str) -> Placed | None:
+    """The plane of a key; None if there is none.
+
+    A key is `contrast@WEIGHTS` or `principal@WEIGHTS`, where WEIGHTS are a fit's step or the label
+    of a weighing; `policy@`; `model@`; or `two@NAME|NAME`, dimensions by their names.
+    """
+    kind, _, of = key.partition("@")
+    source = sources(run).get(of) if kind in (CONTRAST, PRINCIPAL) else None
+    version = run.version("buffer"), run.version("model"), source and source.version
+    return _PLACED.get((run.path, key), lambda: _placed(run, key, kind, of, source), version)
+
+
+_PLACED: VersionedCache[Placed | None] = VersionedCache()
+
+
+def _placed(run: RunReader, key: str, kind: str, of: str, source: Source | None) -> Placed | None:
+    if kind == TWO:
+        x, _, y = of.partition("|")
+        known = {one.name for one in columns.recorded(run)}
+        if not {x, y} <= known:
+            return None
+        pair = [columns.values(run, name).astype(np.float32) for name in (x, y)]
+        return Placed(key, (x, y), np.stack(pair, 1))
+    if kind in (POLICY, MODEL):
+        return _of_network(run, kind, key)
+    if source is None:
+        return None
+    table, names = features(run)
+    part = table[source.first : source.end]
+    plane: Plane = (
+        planes.contrast(part, source.weight, names)
+        if kind == CONTRAST
+        else planes.principal(part, names)
+    )
+    return Placed(key, plane.names, plane.project(table))
+
+
+def layers(run: RunReader) -> dict[str, str]:
+    """The keys of the planes of a run's networks: its last policy and its stored model."""
+    if run.env == ROAD:
+        return {}
+    found = {POLICY: f"{POLICY}@"} if run.has_policy() else {}
+    return found | ({MODEL: f"{MODEL}@"} if buffer.has_model(run) else {})
+
+
+def dimensions(run: RunReader) -> list[Column]:
+    """The task's own dimensions, s then a."""
+    return [one for one in columns.recorded(run) if one.name not in columns.OF_ROWS]
+
+
+def _of_network(run: RunReader, kind: str, key: str) -> Placed | None:
+    """The principal components of the last hidden layer of the last policy or the stored model."""
+    rows = buffer.recorded(run).rows.torch()
+    network = buffer.last_policy(run) if kind == POLICY else _model(run)
+    if network is None:
+        return None
+
+    def hidden(part: slice | NDArray[np.int64]) -> NDArray[np.float32]:
+        given = (rows.obs,) if kind == POLICY else (rows.obs, rows.action)
+        return network.hidden(*(one[part] for one in given)).numpy()
+
+    plane = planes.of_layer(hidden(spread(len(rows), JUDGED)), kind)
+    at = range(0, len(rows), CHUNK)
+    xy = [plane.project(hidden(slice(first, first + CHUNK))) for first in at]
+    return Placed(key, plane.names, np.concatenate(xy))
+
+
+def _model(run: RunReader) -> NeuralDynamics | None:
+    try:
+        model = stored_model(run).predictor
+    except UserError:
+        return None
+    return model if isinstance(model, NeuralDynamics) else None
+
+
+def explained(run: RunReader, key: str, source: Source) -> float:
+    """The share of the log weights that a plane explains on held-out rows."""
+    place = placed(run, key)
+    if place is None:
+        return np.nan
+    version = run.version("buffer"), source.version
+
+    def make() -> float:
+        part = spread(len(source.weight), JUDGED)
+        return planes.explained(place.xy[source.first + part], source.weight[part])
+
+    return _EXPLAINED.get((run.path, key, source.label), make, version)
+
+
+_EXPLAINED: VersionedCache[float] = VersionedCache()
+
+
+def chosen(run: RunReader, source: Source, selection: Selection) -> Mask:
+    """A mask (N,) of the rows of these weights that a selection chooses.
+
+    What it says of quantities and planes that this buffer lacks is left out.
+    """
+    part = slice(source.first, source.end)
+    mask = np.ones(len(source.weight), bool)
+    known: Mapping[str, Column] = {one.name: one for one in columns.recorded(run)}
+    weights = columns.weight_codes(source.weight)
+    for name, interval in selection.intervals.items():
+        if name == AGE.name:
+            mask &= between(columns.age_codes(len(mask)), AGE, interval)
+        elif name == RANK.name:
+            mask &= between(columns.rank_codes(weights), RANK, interval)
+        elif name == WEIGHT.name:
+            mask &= between(weights, WEIGHT, interval)
+        elif name in known:
+            mask &= between(columns.codes(run, name)[part], known[name], interval)
+    place = placed(run, selection.outline.plane) if selection.outline else None
+    if selection.outline and place:
+        x, y = (
+            columns.decode(place.codes(axis)[part], place.column(axis).low, place.column(axis).high)
+            for axis in (0, 1)
+        )
+        mask &= inside(selection.outline.corners, x, y)
+    return mask
+
+
+def nearest(run: RunReader, source: Source, row: int) -> NDArray[np.int64]:
+    """The recorded numbers (NEAREST,) of the rows of the buffer nearest to a recorded row."""
+    table, _ = features(run)
+    part = table[source.first : source.end]
+    far = np.square(part - table[row]).sum(1)
+    far[row - source.first] = np.inf
+    count = min(NEAREST, len(far) - 1)
+    near = np.argpartition(far, count - 1)[:count] if count > 0 else np.zeros(0, np.int64)
+    return source.first + near[np.argsort(far[near], kind="stable")]
+
+
+def given_plane(run: RunReader, key: str) -> dict | None:
+    """What the browser needs to know of a plane."""
+    place = placed(run, key)
+    if place is None:
+        return None
+    version = run.version("buffer"), run.version("model")
+
+    def axis(i: int) -> dict:
+        def make() -> columns.Codes:
+            found = placed(run, key)
+            assert found is not None
+            return found.codes(i)
+
+        column = place.column(i)
+        url = offer((run.path, version, key, i, column.low, column.high), make)
+        return {"name": place.names[i], "low": column.low, "high": column.high, "url": url}
+
+    return {"key": key, "axes": [axis(0), axis(1)]}
+
+
+def given_source(run: RunReader, source: Source) -> dict:
+    """What the browser needs to know of weights."""
+    weighing = source.weighing is not None
+
+    def make() -> columns.Codes:
+        found = (others(run) if weighing else fits(run))[source.label]
+        return columns.weight_codes(found.weight)
+
+    url = offer((run.path, source.label, source.version), make)
+    return {
+        "label": source.label, "first": source.first, "count": len(source.weight), "url": url,
+        "step": int(source.label) if not weighing else None,
+    }  # fmt: skip
+
+
+def given_columns(run: RunReader) -> list[dict]:
+    """What the browser needs to know of the quantities of the record."""
+    version = run.version("buffer"), run.version("model")
+    return [
+        {
+            "name": one.name, "low": one.low, "high": one.high,
+            "url": offer((run.path, version, one.name, one.low, one.high),
+                         lambda name=one.name: columns.codes(run, name)),
+        }
+        for one in columns.recorded(run)
+    ]  # fmt: skip

@@ -1,0 +1,94 @@
+"""The buffer as a map with linked histograms, drawn and filtered in the browser.
+
+Arrays come over HTTP in binary, once (`app.data.arrays`); what is chosen comes back when the hand
+stops. Its script is three files: `rows.js` (codes and filters), `draw.js` (canvases) and `map.js`,
+`hands.js` (the part itself).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import streamlit as st
+from streamlit.components.v2 import component
+from streamlit.components.v2.types import ComponentRenderer
+
+KEY = "buffer map"
+_TOOLS = "".join(
+    f'<button type="button" data-tool="{tool}">{words}</button>'
+    for tool, words in (("lasso", "Lasso"), ("box", "Box"), ("move", "Move"), ("zoom", "Zoom"))
+)
+_HTML = f"""<div class="buffer-map">
+      <p class="map-sentence" aria-live="polite"></p>
+      <div class="map-bar"><div class="map-presets" role="group" aria-label="Choose rows"></div>
+        <dl class="map-numbers"></dl></div>
+      <p class="map-failed" role="alert" hidden></p>
+      <div class="map-body">
+        <div class="map-view">
+          <div class="map-bar">
+            <div class="map-tools" role="group" aria-label="Pointer">{_TOOLS}</div>
+            <span class="map-hint"></span>
+            <label>Colour <select class="map-colour"></select></label></div>
+          <div class="map-frame"><canvas class="map-cells"></canvas>
+            <canvas class="map-over" tabindex="0" role="img"
+              aria-label="The buffer's rows; arrows move, plus and minus zoom, 0 shows all, Escape
+              chooses everything"></canvas>
+            <span class="map-x"></span><span class="map-y"></span>
+            <div class="map-tip" hidden></div></div>
+          <div class="map-legend"><b></b><i></i><em></em>
+            <div><span></span><span></span><span></span></div></div>
+          <div class="map-strip" hidden><p></p><canvas></canvas></div>
+        </div>
+        <div class="map-side"><p class="map-key">Grey: all rows. Filled: the chosen ones. Line:
+            where the weight lies. Drag in any to choose.</p>
+          <div class="map-hists"></div><button type="button" class="map-more" hidden></button></div>
+      </div></div>"""
+
+
+@cache
+def _renderer() -> ComponentRenderer:
+    folder = Path(__file__).parent
+    files = ("rows.js", "draw.js", "map.js", "hands.js")
+    return component(
+        "tom_map",
+        html=_HTML,
+        css=(folder / "map.css").read_text(),
+        js="\n".join((folder / name).read_text() for name in files),
+        isolate_styles=False,
+    )
+
+
+def draw(
+    given: Mapping[str, Any],
+    step: int,
+    where: Sequence[str],
+    outline: Sequence[str],
+    colour: str,
+    *,
+    chosen: Callable[[list[str], list[str]], None],
+    picked: Callable[[int], None],
+    coloured: Callable[[str], None],
+) -> None:
+    """Show the map at a `step` of the timeline, with the selection of the address.
+
+    `chosen` is called with the words of a new selection, `picked` with the recorded number of a
+    clicked row, `coloured` with what cells are coloured by: before the page is drawn again.
+    """
+
+    def on(event: str, act: Callable[[Any], None]) -> None:
+        message = st.session_state[KEY].get(event)
+        if message is not None:
+            act(message)
+
+    data = {
+        "given": given, "step": step, "where": list(where), "outline": list(outline),
+        "colour": colour,
+    }  # fmt: skip
+    _renderer()(
+        key=KEY,
+        data=data,
+        on_chosen_change=lambda: on("chosen", lambda it: chosen(it["where"], it["outline"])),
+        on_row_change=lambda: on("row", lambda row: picked(int(row))),
+        on_colour_change=lambda: on("colour", coloured),
+    )

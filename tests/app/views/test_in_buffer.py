@@ -1,0 +1,256 @@
+"""Attention in the buffer: the map, the selection and what it chooses are the recorded rows."""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from streamlit.testing.v1 import AppTest
+from studio_pages import draw, map_of
+from studio_runs import PENDULUM_TOM, info
+
+from app.data import arrays, buffer, columns, regions
+from app.data.buffer import WINDOW, Rows, against, rows_at, windows
+from app.data.selection import between, inside
+from app.figures.regions import cell_map, weights_against
+from app.scenes import solids, states
+from tom.analysis import planes
+from tom.data.transitions import Transitions, episodes
+from tom.envs import scene, task
+from tom.record.reader import RunReader
+from tom.record.task_record import dimension_names
+
+pytestmark = pytest.mark.usefixtures("studio")
+FIT = 300
+in_buffer = partial(draw, "attention", part="In the buffer")
+
+
+@pytest.fixture
+def rows(store: Path) -> Rows:
+    found = buffer.rows(info(store, PENDULUM_TOM), FIT)
+    assert found is not None
+    return found
+
+
+def made(count: int) -> Transitions:
+    """Episodes of three steps whose observation counts rows."""
+    obs = np.arange(count, dtype=np.float32)[:, None]
+    ended = (np.arange(count) % 3 == 2).astype(np.float32)
+    return Transitions(obs, obs * 0, np.ones(count, np.float32), obs + 1, ended, ended * 0)
+
+
+def test_the_rows_of_a_fit_are_the_newest_of_that_step(store: Path, rows: Rows) -> None:
+    weight = RunReader(store / PENDULUM_TOM).snapshot(FIT)["weight"].to_numpy()
+    recorded = RunReader(store / PENDULUM_TOM).buffer()[0]
+    assert len(rows) == len(weight) == FIT
+    assert rows.weight == pytest.approx(weight)
+    assert np.asarray(rows.rows.obs) == pytest.approx(np.asarray(recorded.obs)[:FIT])
+
+
+def test_a_full_buffer_has_lost_its_oldest_rows() -> None:
+    rows = rows_at(made(10), np.zeros(10, np.int64), np.ones(4), 9)
+    assert rows is not None
+    assert rows.first == 5
+    assert np.asarray(rows.rows.obs)[:, 0].tolist() == [5, 6, 7, 8]
+    assert rows.place.tolist() == [2, 0, 1, 2]
+    assert rows_at(made(10), np.zeros(10, np.int64), np.ones(4), 11) is None
+
+
+def test_episodes_are_counted_from_their_ends() -> None:
+    number, place, total = episodes(made(7))
+    assert number.tolist() == [0, 0, 0, 1, 1, 1, 2]
+    assert place.tolist() == [0, 1, 2, 0, 1, 2, 0]
+    assert total.tolist() == [3, 3, 3, 3, 3, 3, 1]
+
+
+def test_what_sets_a_region_apart_is_named(rows: Rows) -> None:
+    names, actions = dimension_names("inverted-pendulum", rows.rows)
+    angle = np.asarray(rows.rows.obs)[:, 1]
+    name, gap = regions.apart(rows, angle > np.quantile(angle, 0.9), names + actions)[0]
+    assert name == "pole angle"
+    assert gap > 1
+
+
+def test_only_dimensions_of_road_and_rocks_are_called_x_and_y() -> None:
+    two, one = np.zeros((3, 2)), np.zeros(3)
+    plane = Transitions(two, two, one, two, one, one)
+    assert dimension_names("road-and-rocks", plane)[0] == ["x", "y"]
+    others = "gymnasium:MountainCarContinuous-v0"
+    assert dimension_names(others, plane)[0] == ["observation 1", "observation 2"]
+    assert dimension_names(others, plane, ("position", "velocity"))[0] == ["position", "velocity"]
+
+
+def test_picks_keep_their_distance(rows: Rows) -> None:
+    everything = np.ones(len(rows), bool)
+    heavy, light = regions.heavy_and_light(rows, everything, 5, 10)
+    assert heavy[0] == rows.weight.argmax()
+    assert rows.weight[light].max() <= rows.weight[heavy].min()
+    assert min(abs(a - b) for a in heavy for b in heavy if a != b) >= 10
+
+
+def test_weights_against_a_quantity_lose_nothing() -> None:
+    quantity, weight = np.repeat([1.0, 2.0, 3.0], [80, 10, 10]), np.linspace(0, 2, 100)
+    found = against(quantity, weight, 10)
+    assert found.x.tolist() == [1, 2, 3] or found.x.tolist() == pytest.approx([1, 2.5])
+    assert found.mean[0] == pytest.approx(weight[:80].mean())
+    line = weights_against(found, "tom", "thing", 200).data[0]
+    assert list(line.y) == pytest.approx(found.mean)  # type: ignore[attr-defined]
+
+
+def test_a_moment_stays_in_its_episode() -> None:
+    ended = np.zeros(60, bool)
+    ended[[9, 29]] = True
+    found = windows(ended, [12, 59])
+    assert found.shape == (2, 2 * WINDOW + 1)
+    assert found[0, WINDOW] == 12
+    assert found[0].min() == 10
+    assert found[0].max() == 24
+    assert found[1].max() == 59
+
+
+def test_robots_stand_as_they_were_recorded(store: Path, rows: Rows) -> None:
+    recorded = RunReader(store / PENDULUM_TOM).buffer()[0]
+    ended = (np.asarray(recorded.terminated) != 0) | (np.asarray(recorded.truncated) != 0)
+    found = states.poses(task("inverted-pendulum"), recorded, {}, windows(ended, [7, 200]))
+    assert found[:, WINDOW] == pytest.approx(np.asarray(recorded.obs)[[7, 200], :2])
+    robots = solids.of(scene.model("inverted-pendulum"), found)
+    position, wxyz = robots.position[:, WINDOW], robots.wxyz[:, WINDOW]
+    assert position.shape == (2, 3, 3)
+    assert np.linalg.norm(wxyz, axis=-1) == pytest.approx(1)
+    kept = {"qpos": np.asarray(recorded.obs)[:, :2] + 5}
+    assert states.poses(task("hopper"), recorded, kept, windows(ended, [7]))[0, WINDOW, 0] == 0
+
+
+def chosen(app: AppTest) -> NDArray[np.int64]:
+    """The recorded numbers of the chosen rows, as the page's table has them (at most 300)."""
+    return np.sort(app.dataframe[0].value["row"].to_numpy(np.int64))
+
+
+def selected(**query: str | list[str]) -> NDArray[np.int64]:
+    return chosen(in_buffer(run=PENDULUM_TOM, step=str(FIT), **query))
+
+
+def test_an_outline_holds_what_is_inside() -> None:
+    corners = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (2.0, 1.0), (0.0, 4.0)]  # a notch from above
+    x, y = np.array([1.0, 2.0, 3.0, 5.0, 2.0]), np.array([1.0, 3.0, 2.0, 1.0, 0.5])
+    assert inside(corners, x, y).tolist() == [True, False, True, False, True]
+
+
+def test_codes_keep_the_order_and_the_ends() -> None:
+    values = np.random.default_rng(0).normal(size=2000)
+    codes = columns.encode(values, -1.0, 1.0)
+    back = columns.decode(codes, -1.0, 1.0)
+    assert back == pytest.approx(values.clip(-1, 1), abs=2e-5)
+    column = columns.Column("x", -1.0, 1.0)
+    assert between(codes, column, (0.25, None)).sum() == (values >= 0.25).sum()
+    assert between(codes, column, (None, None)).all()
+    unknown = columns.encode(np.array([0.5, np.nan]), 0.0, 1.0)
+    assert between(unknown, columns.Column("x", 0.0, 1.0), (None, 1.0)).tolist() == [True, False]
+
+
+def test_codes_of_weights_keep_zero_apart_and_the_rest_to_a_thousandth() -> None:
+    weight = np.concatenate([np.zeros(5), np.random.default_rng(0).lognormal(0, 2, 500)])
+    codes = columns.weight_codes(weight)
+    assert ((codes == 0) == (weight == 0)).all()
+    octave = (codes[5:] - 1.0) / (columns.TOP - 1) * 2 * columns.OCTAVES - columns.OCTAVES
+    assert 2**octave == pytest.approx(weight[5:] / weight.mean(), rel=1e-3)
+    rank = columns.rank_codes(columns.weight_codes(np.arange(1.0, 1001)))
+    assert between(rank, columns.RANK, (99, None)).sum() == 10
+    equal = columns.rank_codes(columns.weight_codes(np.ones(100)))
+    assert between(equal, columns.RANK, (99, None)).all()
+
+
+def test_intervals_and_presets_of_an_address_choose_the_rows(rows: Rows) -> None:
+    angle = np.asarray(rows.rows.obs)[:, 1]
+    middle = float(f"{np.median(angle):.4g}")
+    assert (
+        selected(where=[f"pole angle {middle}.."]).tolist()
+        == (rows.first + np.flatnonzero(angle >= middle)).tolist()
+    )
+    assert selected(where=["age ..50"]).tolist() == list(range(rows.first, rows.first + 150))
+    heaviest = rows.first + np.argsort(rows.weight)[-3:]
+    assert selected(where=["weight rank 99.."]).tolist() == sorted(heaviest.tolist())
+    zero = rows.first + np.flatnonzero(rows.weight == 0)
+    assert selected(where=["weight ..0"]).tolist() == zero.tolist()
+    both = selected(where=[f"pole angle {middle}..", "age ..50"])
+    assert both.tolist() == (rows.first + np.flatnonzero(angle[:150] >= middle)).tolist()
+    for malformed in ("pole angle x..1", "nothing 1..2", "1..2", "age"):
+        assert len(selected(where=[malformed])) == FIT
+
+
+def test_an_outline_keeps_its_rows_on_every_plane(rows: Rows) -> None:
+    obs = np.asarray(rows.rows.obs)
+    x = float(np.median(obs[:, 0]))
+    outline = f"two@cart x|pole angle {x:.6g},-9;9,-9;9,9;{x:.6g},9"
+    expected = (rows.first + np.flatnonzero(obs[:, 0] > float(f"{x:.6g}"))).tolist()
+    for plane in ("contrast", "principal", "two"):
+        app = in_buffer(run=PENDULUM_TOM, step=str(FIT), outline=outline, plane=plane)
+        assert len(np.setxor1d(chosen(app), expected)) <= 1  # a row on the border
+        assert app.query_params["outline"] == outline
+    for malformed in ("1,nan;x", "two@a|b 0,0;1,1;2,2", "contrast@9 0,0;1,1"):
+        assert len(selected(outline=malformed)) == FIT
+
+
+def test_the_browser_gets_each_array_of_the_buffer(rows: Rows, store: Path) -> None:
+    app = in_buffer(run=PENDULUM_TOM, step=str(FIT))
+    given = map_of(app)
+
+    def array(url: str) -> NDArray[np.uint16]:
+        content = arrays.content(url.rpartition("/")[2])
+        assert content is not None
+        return np.frombuffer(content, np.uint16)
+
+    [source] = [one for one in given["sources"] if one["step"] == FIT]
+    assert (source["first"], source["count"]) == (rows.first, FIT)
+    assert array(source["url"]).tolist() == columns.weight_codes(rows.weight).tolist()
+    recorded = RunReader(store / PENDULUM_TOM).buffer()[0]
+    [angle] = [one for one in given["columns"] if one["name"] == "pole angle"]
+    back = columns.decode(array(angle["url"]), angle["low"], angle["high"])
+    known = np.asarray(recorded.obs)[:, 1].clip(angle["low"], angle["high"])
+    assert back == pytest.approx(known, abs=1e-3)
+    table, names = planes.features(rows.rows, *dimension_names("inverted-pendulum", rows.rows))
+    last = max(one["step"] for one in given["sources"])
+    assert given["planes"][0]["key"] == f"contrast@{last}"
+    assert arrays.content("0" * 32) is None
+    assert table.shape == (FIT, len(names))
+
+
+def test_the_plane_stays_while_the_timeline_moves(store: Path) -> None:
+    fits = RunReader(store / PENDULUM_TOM).snapshot_steps()
+    app = in_buffer(run=PENDULUM_TOM, step=str(fits[0]))
+    stays = map_of(app)["planes"][0]["key"]
+    assert stays == f"contrast@{fits[-1]}"
+    [button] = [one for one in app.button if one.label == "Plane of this fit"]
+    button.click().run()
+    assert map_of(app)["planes"][0]["key"] == f"contrast@{fits[0]}"
+    assert app.query_params["of"] == str(fits[0])
+
+
+def test_a_row_has_its_episode_and_its_nearest(rows: Rows) -> None:
+    given = map_of(in_buffer(run=PENDULUM_TOM, step=str(FIT), row=str(rows.first + 7)))
+    same = rows.first + np.flatnonzero(rows.episode == rows.episode[7])
+    assert given["path"] == [same[0], same[-1]]
+    part = np.concatenate([rows.rows.obs, rows.rows.action, rows.rows.next_obs], 1)
+    gap = np.square((part - part[7]) / part.std(0)).sum(1)
+    assert len(given["near"]) == 10
+    assert len(set(given["near"]) & set(rows.first + np.argsort(gap)[1:11])) >= 8  # of other scales
+
+
+def test_cells_are_coloured_by_the_share_of_weight_in_them() -> None:
+    draw_ = np.random.default_rng(0)
+    xy, weight = draw_.normal(size=(4000, 2)), draw_.lognormal(size=4000)
+    trace = cell_map(xy, ("a", "b"), weight, "light", 300, "k").data[0]
+    width = trace.x[1] - trace.x[0]  # type: ignore[attr-defined]
+    height = trace.y[1] - trace.y[0]  # type: ignore[attr-defined]
+    i, j = 14, 13
+    near = np.abs(xy[:, 0] - trace.x[i]) < width / 2  # type: ignore[attr-defined]
+    near &= np.abs(xy[:, 1] - trace.y[j]) < height / 2  # type: ignore[attr-defined]
+    share = weight[near].sum() / weight.sum() / near.mean()
+    assert trace.z[j, i] == pytest.approx(np.log2(share))  # type: ignore[attr-defined]
+
+
+def test_at_an_evaluation_the_weights_are_those_of_the_last_fit_before(store: Path) -> None:
+    last = RunReader(store / PENDULUM_TOM).evaluation_steps()[-1]
+    assert last > FIT
+    assert len(chosen(in_buffer(run=PENDULUM_TOM, step=str(last)))) == FIT
