@@ -15,9 +15,15 @@ from streamlit.components.v2 import component
 from streamlit.components.v2.types import ComponentRenderer
 
 KEY = "buffer map"
+TOOLS = {
+    "lasso": "draw round rows to choose them",
+    "box": "draw a box to choose rows",
+    "move": "drag to move; the wheel zooms, a double click shows all",
+    "zoom": "draw a box to zoom into",
+}
 _TOOLS = "".join(
-    f'<button type="button" data-tool="{tool}">{words}</button>'
-    for tool, words in (("lasso", "Lasso"), ("box", "Box"), ("move", "Move"), ("zoom", "Zoom"))
+    f'<button type="button" data-tool="{tool}" title="{words}">{tool.title()}</button>'
+    for tool, words in TOOLS.items()
 )
 _HTML = f"""<div class="buffer-map">
       <p class="map-sentence" aria-live="polite"></p>
@@ -28,7 +34,6 @@ _HTML = f"""<div class="buffer-map">
         <div class="map-view">
           <div class="map-bar">
             <div class="map-tools" role="group" aria-label="Pointer">{_TOOLS}</div>
-            <span class="map-hint"></span>
             <label>Colour <select class="map-colour"></select></label></div>
           <div class="map-frame"><canvas class="map-cells"></canvas>
             <canvas class="map-over" tabindex="0" role="img"

@@ -1,12 +1,5 @@
 // The map's pointer, keys and panels, and what the server gives it (app/parts/map/__init__.py).
 
-const HINTS = {
-  lasso: "draw round rows to choose them",
-  box: "draw a box to choose rows",
-  move: "drag to move; the wheel zooms",
-  zoom: "draw a box to zoom into",
-};
-
 function zoomAt(root, [px, py], factor) {
   const { clientWidth, clientHeight } = root.querySelector(".map-cells");
   const scaled = ([low, high], share) => {
@@ -271,7 +264,6 @@ function buildHead(root) {
     root.tool = tool;
     tools.forEach((button) => button.setAttribute("aria-pressed", button.dataset.tool === tool));
     root.querySelector(".map-over").dataset.tool = tool;
-    root.querySelector(".map-hint").textContent = HINTS[tool];
   };
   tools.forEach((button) => (button.onclick = () => pick(button.dataset.tool)));
   pick(root.tool ?? "lasso");
@@ -330,12 +322,8 @@ async function load(root) {
     const shown = [...root.querySelectorAll(".map-hist:not([hidden])")].map(({ dataset }) => columnNamed(root, dataset.name).url);
     const chosen = Object.keys(root.selection.intervals).map((name) => columnNamed(root, name)?.url);
     const colour = columnNamed(root, root.colour)?.url;
-    for (const url of new Set([...chosen, colour, ...shown])) {
-      if (!url) continue;
-      await array(url);
-      if (!current()) return;
-      draw(root);
-    }
+    const wanted = [...new Set([...chosen, colour, ...shown])].filter(Boolean);
+    await Promise.all(wanted.map((url) => Promise.resolve(array(url)).then(() => current() && draw(root))));
     // The other fits, so that the timeline moves without the server.
     for (const { url } of given.sources) {
       await array(url);

@@ -271,13 +271,16 @@ function apart(counts) {
 // The quantities in which the chosen rows (or the weight) differ most from all rows.
 function telling(root, most) {
   const found = columnsOf(root)
-    .filter(({ name }) => name !== WEIGHT && !(name in root.selection.intervals))
+    .filter(({ name }) => ![WEIGHT, "policy version"].includes(name) && !(name in root.selection.intervals))
     .map((column) => [column.name, histogram(root.rows, column)])
     .filter(([, counts]) => counts)
     .map(([name, counts]) => [name, gap(counts)])
     .filter(([, sd]) => Math.abs(sd) >= 0.25);
   found.sort((a, b) => Math.abs(b[1]) - Math.abs(a[1]));
-  return found.slice(0, most).map(([name, sd]) => `${name} ${sd > 0 ? "high" : "low"} (${sd > 0 ? "+" : "−"}${Math.abs(sd).toFixed(1)} sd)`);
+  return found.slice(0, most).map(([name, sd]) => {
+    const what = name === AGE ? `${sd > 0 ? "newer" : "older"} rows` : `${sd > 0 ? "high" : "low"} ${name}`;
+    return `${what} (${sd > 0 ? "+" : "−"}${Math.abs(sd).toFixed(1)} sd)`;
+  });
 }
 
 function say(root) {
@@ -295,7 +298,7 @@ function say(root) {
   if (!rows.count) heading.textContent = "The buffer is empty.";
   else if (!chosen) {
     heading.textContent = most.length
-      ? `The weight lies where these are unlike the buffer: ${most.join(", ")}.`
+      ? `The weight goes to ${most.join(", ")}.`
       : "No part of the buffer stands out: the weight lies about where the rows lie.";
   } else {
     const what = n ? `${percent(n / rows.count)} of the rows have ${percent(sum / rows.total)} of the weight` : "No row is chosen";
