@@ -30,6 +30,7 @@ from streamlit.testing.v1 import AppTest
 from app.data.studies import FOLDER, QUESTIONS, REPORT
 from app.links import Links
 from app.router import VIEWS
+from app.servers import map_bench
 from app.servers.browser import DRAWN, chromium
 from app.servers.launcher import Studio, servers
 from app.servers.pages import warm
@@ -208,7 +209,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--runs", type=int, default=RUNS, help=f"runs in the store [{RUNS}]")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--frames", action="store_true", help="frames a second while fits play")
+    parser.add_argument("--map", action="store_true", help="the buffer's map in a browser")
     args = parser.parse_args(argv)
+    if args.map:
+        return _map(json_wanted=args.json)
     if args.frames:
         with tempfile.TemporaryDirectory() as folder:
             drawn = frames(Path(folder))
@@ -232,6 +236,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         cells = [[_cell(value) for value in row.values()] for row in rows]
         show(f"{args.runs} runs, {METRICS} metrics x {POINTS} points", list(rows[0]), cells)
     return 0 if all(answer.met for answer in answers) else 1
+
+
+def _map(*, json_wanted: bool) -> int:
+    """Print what `map_bench` measures: 0 if every target is met, else 1."""
+    with tempfile.TemporaryDirectory() as folder:
+        found = list(map_bench.measure(Path(folder)))
+    rows = [{**asdict(one), "met": one.met} for one in found]
+    if json_wanted:
+        print(json.dumps(rows))
+    else:
+        cells = [[_cell(value) for value in row.values()] for row in rows]
+        show("the buffer's map in Chromium", list(rows[0]), cells)
+    return 0 if all(one.met for one in found) else 1
 
 
 def _cell(value: object) -> str:

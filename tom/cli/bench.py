@@ -52,7 +52,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "default]; step: a whole env step of the paper's Hopper; "
         "memory: a full Humanoid buffer; record: the cost of recording, and of "
         "listing 1000 runs; learn: does inverted pendulum reach 950 within 6000 steps; studio: how "
-        "long its pages take over a store of 200 runs",
+        "long its pages take over a store of 200 runs (--map: the buffer's map in a browser)",
     )
     parser.add_argument(
         "--repeats", type=whole(1), default=9, help="interleaved repeats [9] (parts)"
@@ -76,6 +76,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument("--store", type=folder, help="keep the runs here (learn)")
     parser.add_argument("--runs", type=int, help="runs in the store [200] (studio)")
     parser.add_argument(
+        "--map", action="store_true", help="the buffer's map in a browser, instead (studio)"
+    )
+    parser.add_argument(
         "--frames", action="store_true", help="frames a second while fits play, instead (studio)"
     )
     parser.set_defaults(run=run)
@@ -86,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError("--into is of the tables of `tom bench parts`: leave it out")
     if args.what == "studio":
         runs = [] if args.runs is None else ["--runs", str(args.runs)]
-        more = [*(["--json"] * args.json), *(["--frames"] * args.frames)]
+        more = [*(["--json"] * args.json), *(["--frames"] * args.frames), *(["--map"] * args.map)]
         hand_over("app.servers.bench", [*runs, *more])
     content, tables = MEASUREMENTS[args.what](args)
     if args.json:

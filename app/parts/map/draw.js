@@ -19,10 +19,15 @@ function shades(stops) {
   });
 }
 
+// Notes the size of every canvas at once: to ask for one after a change lays out the whole page.
+function measure(root) {
+  for (const canvas of root.querySelectorAll("canvas")) canvas.size = [canvas.clientWidth, canvas.clientHeight];
+}
+
 // Sizes a canvas to its place on the page; its context in CSS pixels.
 function paper(canvas) {
   const dense = window.devicePixelRatio || 1;
-  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  const [width, height] = canvas.size;
   if (canvas.width !== Math.round(width * dense) || canvas.height !== Math.round(height * dense)) {
     [canvas.width, canvas.height] = [Math.round(width * dense), Math.round(height * dense)];
   }
@@ -56,8 +61,7 @@ function cellsOf(rows, X, Y, view, width, height, by) {
   const { failed, count } = rows;
   let inView = 0;
   for (let i = 0; i < count; i++) {
-    const [x, y] = [X[i], Y[i]];
-    if (x >= x0 && x <= x1 && y >= y0 && y <= y1) inView++;
+    if (X[i] >= x0 && X[i] <= x1 && Y[i] >= y0 && Y[i] <= y1) inView++;
   }
   const across = Math.round(Math.min(Math.max(Math.sqrt(inView / CELL_ROWS), FEWEST), MOST));
   const down = Math.max(Math.round((across * height) / width), 1);
@@ -104,11 +108,12 @@ function drawCells(context, cells, width, height, shadeOf, table, mode, filtered
 
 function drawRows(context, rows, X, Y, place, by, shadeOf, table, mode) {
   const { failed, count } = rows;
+  const [width, height] = context.canvas.size;
   for (const chosen of [false, true]) {
     for (let i = 0; i < count; i++) {
       if ((failed[i] === 0) !== chosen) continue;
       const [x, y] = place(X[i], Y[i]);
-      if (x < 0 || y < 0 || x > context.canvas.clientWidth || y > context.canvas.clientHeight) continue;
+      if (x < 0 || y < 0 || x > width || y > height) continue;
       const value = by(i);
       const colour = chosen && value === value ? table[shadeOf(value)] : grey(mode);
       context.fillStyle = `rgba(${colour}, ${chosen ? 0.9 : 0.25})`;

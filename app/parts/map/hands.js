@@ -245,6 +245,7 @@ function buildHistograms(root) {
   more.textContent = `${names.length - HISTS} more dimensions`;
   more.onclick = () => {
     box.querySelectorAll(".map-hist").forEach((figure) => (figure.hidden = false));
+    root.measured = false;
     more.hidden = true;
     load(root);
   };
@@ -388,12 +389,18 @@ export default function ({ data, parentElement, setTriggerValue }) {
   if (!root.wired) {
     buildHead(root);
     wireMap(root);
-    root.watch = new ResizeObserver(() => draw(root));
+    const changed = () => {
+      root.measured = false;
+      draw(root);
+    };
+    root.watch = new ResizeObserver(changed);
     root.watch.observe(root);
+    root.watch.observe(root.querySelector(".map-frame"));
   }
   root.wired = true;
   buildHistograms(root);
   fillColours(root);
+  root.measured = false;
   const urls = [...data.given.columns, ...data.given.sources, ...data.given.planes.flatMap(({ axes }) => axes), data.given.against];
   forgetAllBut(new Set(urls.filter(Boolean).map(({ url }) => url)));
   load(root);

@@ -77,8 +77,8 @@ function filterAll(root) {
 
 function choose(root, selection, { rest = 0 } = {}) {
   root.selection = selection;
-  filterAll(root);
-  draw(root);
+  // At once: the browser gives a moving pointer once a frame.
+  if (root.rows) drawNow(root);
   clearTimeout(root.rest);
   root.rest = setTimeout(() => {
     const words = JSON.stringify(worded(selection));
@@ -146,7 +146,10 @@ function draw(root) {
 }
 
 function drawNow(root) {
+  if (!root.measured) measure(root);
+  root.measured = true;
   filterAll(root);
+  root.counts = new Map(); // histograms of this drawing
   drawMap(root);
   drawHistograms(root);
   say(root);
@@ -195,8 +198,10 @@ function drawOver(root, X, Y) {
   const within = (row) => row >= rows.first && row < rows.first + rows.count;
   const path = given.path && [Math.max(given.path[0], rows.first), Math.min(given.path[1], rows.first + rows.count - 1)];
   const strip = root.querySelector(".map-strip");
-  strip.hidden = !(path && within(given.row));
-  if (strip.hidden) return;
+  const hidden = !(path && within(given.row));
+  if (strip.hidden !== hidden) [strip.hidden, root.measured] = [hidden, false];
+  if (hidden) return;
+  if (!root.measured) measure(root);
   const points = [];
   for (let row = path[0]; row <= path[1]; row++) points.push(at(row));
   [context.globalAlpha, context.lineWidth] = [0.75, 1.3];
@@ -237,10 +242,15 @@ function legend(root, look, cells) {
   root.querySelector(".map-y").textContent = `${axes[1].name} →`;
 }
 
+function countsOf(root, column) {
+  if (!root.counts.has(column.name)) root.counts.set(column.name, histogram(root.rows, column));
+  return root.counts.get(column.name);
+}
+
 function drawHistograms(root) {
   for (const figure of root.querySelectorAll(".map-hist:not([hidden])")) {
     const column = columnNamed(root, figure.dataset.name);
-    const counts = root.rows.bins?.get(column.name) ?? histogram(root.rows, column);
+    const counts = countsOf(root, column);
     if (!counts) continue;
     const brush = root.selection.intervals[column.name] ?? null;
     drawBars(figure.querySelector("canvas"), column, counts, brush, root.colours);
@@ -272,7 +282,7 @@ function apart(counts) {
 function telling(root, most) {
   const found = columnsOf(root)
     .filter(({ name }) => ![WEIGHT, "policy version"].includes(name) && !(name in root.selection.intervals))
-    .map((column) => [column.name, histogram(root.rows, column)])
+    .map((column) => [column.name, countsOf(root, column)])
     .filter(([, counts]) => counts)
     .map(([name, counts]) => [name, gap(counts)])
     .filter(([, sd]) => Math.abs(sd) >= 0.25);
