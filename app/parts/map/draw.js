@@ -56,32 +56,47 @@ function wholeView(X, Y) {
 
 // Counts rows in cells of the view: all, the chosen ones, and the sum of what they are coloured by.
 function cellsOf(rows, X, Y, view, width, height, by) {
-  const [x0, x1] = view.x;
-  const [y0, y1] = view.y;
-  const { failed, count } = rows;
-  let inView = 0;
-  for (let i = 0; i < count; i++) {
-    if (X[i] >= x0 && X[i] <= x1 && Y[i] >= y0 && Y[i] <= y1) inView++;
-  }
-  const across = Math.round(Math.min(Math.max(Math.sqrt(inView / CELL_ROWS), FEWEST), MOST));
-  const down = Math.max(Math.round((across * height) / width), 1);
-  const size = across * down;
-  const cells = { across, down, inView, all: new Uint32Array(size), n: new Uint32Array(size), sum: new Float64Array(size) };
-  if (inView < SINGLE) return cells;
-  const [sx, sy] = [across / (x1 - x0), down / (y1 - y0)];
-  for (let i = 0; i < count; i++) {
-    const x = ((X[i] - x0) * sx) | 0;
-    const y = ((y1 - Y[i]) * sy) | 0;
-    if (X[i] < x0 || Y[i] > y1 || x >= across || y >= down) continue;
-    const cell = y * across + x;
-    cells.all[cell]++;
-    if (failed[i]) continue;
+  const all = allCells(rows, X, Y, view, width, height);
+  const { across, down, at } = all;
+  const cells = { ...all, n: new Uint32Array(across * down), sum: new Float64Array(across * down) };
+  if (all.inView < SINGLE) return cells;
+  const { passing } = rows;
+  for (let k = 0; k < passing.length; k++) {
+    const i = passing[k];
+    const cell = at[i];
+    if (cell < 0) continue;
     const value = by(i);
     if (value !== value) continue; // not known of this row
     cells.n[cell]++;
     cells.sum[cell] += value;
   }
   return cells;
+}
+
+// The cell of each row, -1 out of view. It lasts while neither the view nor the fit changes.
+function allCells(rows, X, Y, view, width, height) {
+  const [[x0, x1], [y0, y1]] = [view.x, view.y];
+  const key = [X.buffer, view, width, height];
+  if (rows.cells && rows.cells.key.every((part, i) => part === key[i])) return rows.cells;
+  const { count } = rows;
+  let inView = 0;
+  for (let i = 0; i < count; i++) {
+    if (X[i] >= x0 && X[i] <= x1 && Y[i] >= y0 && Y[i] <= y1) inView++;
+  }
+  const across = Math.round(Math.min(Math.max(Math.sqrt(inView / CELL_ROWS), FEWEST), MOST));
+  const down = Math.max(Math.round((across * height) / width), 1);
+  const all = new Uint32Array(across * down);
+  const at = new Int32Array(count).fill(-1);
+  const [sx, sy] = [across / (x1 - x0), down / (y1 - y0)];
+  for (let i = 0; i < count; i++) {
+    const x = ((X[i] - x0) * sx) | 0;
+    const y = ((y1 - Y[i]) * sy) | 0;
+    if (X[i] < x0 || Y[i] > y1 || x >= across || y >= down) continue;
+    at[i] = y * across + x;
+    all[at[i]]++;
+  }
+  rows.cells = { key, across, down, inView, all, at };
+  return rows.cells;
 }
 
 const grey = (mode) => (mode === "dark" ? [126, 134, 150] : [150, 156, 168]);

@@ -149,6 +149,7 @@ function drawNow(root) {
   if (!root.measured) measure(root);
   root.measured = true;
   filterAll(root);
+  root.rows.passing = passingOf(root.rows);
   root.counts = new Map(); // histograms of this drawing
   drawMap(root);
   drawHistograms(root);

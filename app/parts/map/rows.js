@@ -103,7 +103,7 @@ function rowsOf(given, source, weights) {
     squares += w * w;
   }
   const own = { [AGE]: age, [RANK]: rank, [WEIGHT]: weights };
-  const rows = { source, first: source.first, count, weight, total, squares, own, failed: new Uint32Array(count), bits: new Map() };
+  const rows = { source, first: source.first, count, weight, total, squares, own, failed: new Uint32Array(count), bits: new Map(), store: new Uint32Array(count + 1) };
   rows.codes = (column) => {
     if (own[column.name]) return own[column.name];
     const codes = here(column.url);
@@ -188,20 +188,35 @@ function histogram(rows, column) {
     rows.whole.set(column.name, whole);
   }
   if (!rows.bits.size) return { whole, chosen: null };
-  const others = ~(rows.bits.get(column.name) ?? 0);
   const chosen = new Uint32Array(256);
-  for (let i = 0; i < count; i++) if ((failed[i] & others) === 0) chosen[bins[codes[i]]]++;
+  const bit = rows.bits.get(column.name);
+  if (bit) {
+    for (let i = 0; i < count; i++) if ((failed[i] & ~bit) === 0) chosen[bins[codes[i]]]++;
+  } else {
+    const { passing } = rows;
+    for (let k = 0; k < passing.length; k++) chosen[bins[codes[passing[k]]]]++;
+  }
   return { whole, chosen };
+}
+
+// The rows that no filter leaves out.
+function passingOf({ failed, count, store }) {
+  let n = 0;
+  for (let i = 0; i < count; i++) {
+    store[n] = i;
+    if (failed[i] === 0) n++;
+  }
+  return store.subarray(0, n);
 }
 
 // The numbers of the chosen rows.
 function summary(rows) {
-  const { failed, weight, count } = rows;
-  let [n, sum, squares, zero, age] = [0, 0, 0, 0, 0];
-  for (let i = 0; i < count; i++) {
-    if (failed[i]) continue;
+  const { passing, weight, count } = rows;
+  const n = passing.length;
+  let [sum, squares, zero, age] = [0, 0, 0, 0];
+  for (let k = 0; k < n; k++) {
+    const i = passing[k];
     const w = weight[i];
-    n++;
     sum += w;
     squares += w * w;
     if (!w) zero++;
