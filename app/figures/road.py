@@ -19,6 +19,15 @@ ARROW_STRIDE = 2
 """only every second point of the displacement field is drawn, in both directions"""
 
 
+def cells(picture: Picture) -> dict[str, list[list[float | None]]]:
+    """The properties of the map's heatmap that differ between fits; None where nothing lies."""
+
+    def rounded(grid: NDArray) -> list[list[float | None]]:  # JSON has no NaN
+        return [[float(f"{v:.3g}") if np.isfinite(v) else None for v in row] for row in grid]
+
+    return {"z": rounded(octaves(picture.grid)), "customdata": rounded(picture.grid)}
+
+
 def road_map(picture: Picture, mode: Mode, height: int) -> go.Figure:
     """The map with all data of one fit; the legend shows and hides layers."""
     colour = learner_colour(picture.learner)

@@ -59,13 +59,13 @@ class Follow:
     """How a chart follows the page's timeline, in the browser.
 
     With `cursor` a line stands at its step on the chart's x axis, which has env steps. `traces`
-    (place in the figure: the trace's y at each of `steps`, ascending) shows the last of them that
-    is not after the timeline's step.
+    (place in the figure: the trace's y, or properties of it by name, at each of `steps`, ascending)
+    shows the last of them that is not after the timeline's step.
     """
 
     cursor: bool = False
     steps: Sequence[int] = ()
-    traces: Mapping[int, Sequence[Sequence[float]]] | None = None
+    traces: Mapping[int, Sequence[Sequence[float] | Mapping[str, Any]]] | None = None
 
     def message(self) -> dict[str, Any]:
         """What the browser gets."""

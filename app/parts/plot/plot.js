@@ -309,7 +309,11 @@ function follow(plot, step) {
   const at = Math.max(steps.filter((own) => own <= step).length - 1, 0);
   if (at === plot.frame) return;
   plot.frame = at;
-  for (const { index, y } of traces) plot.data[index].y = y[at];
+  for (const { index, y } of traces) {
+    const [trace, values] = [plot.data[index], y[at]];
+    if (Array.isArray(values)) trace.y = values;
+    else Object.assign(trace, values);
+  }
   if (!traces.every(({ index, y }) => moveBars(plot, index, y[at]))) return window.Plotly.redraw(plot);
   // What hovering shows comes with a whole drawing, once nothing has moved for a moment.
   clearTimeout(plot.later);

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from streamlit.delta_generator import DeltaGenerator
 
 from app import session, text
-from app.data import buffer, readers
+from app.data import buffer, readers, weighings
 from app.data.answer import newest_share
 from app.data.buffer import Floats, against
 from app.data.called import names, told_apart
@@ -88,6 +88,7 @@ def _over_time(scope: Scope, row: DeltaGenerator) -> None:
     called = text.markdown(names(scope.runs)[run.run_id])
     st.subheader(f"Which data {called} pays attention to", anchor=False)
     _numbers(run, profiles, fits)
+    _offer_learners(run, fit)
     _even(run, profiles, fits.index(fit))
     _figures(run, profiles, fits.index(fit), relative=scale == RELATIVE)
     exam.of_fit(run, fit)
@@ -95,6 +96,26 @@ def _over_time(scope: Scope, row: DeltaGenerator) -> None:
     _last_fits(scope, run)
     widgets.show_problems(run)
     timeline.draw(fits, evaluations, step)
+
+
+def _offer_learners(run: RunReader, fit: int) -> None:
+    """A way to what every learner makes of the buffer of the last fit whose policy was kept."""
+    kept = [step for step in run.policy_steps() if step <= fit]
+    if not kept:
+        return
+
+    def go() -> None:
+        st.session_state["part"], st.session_state["run"] = LEARNERS_ON_IT, [run.run_id]
+        st.session_state["at"] = kept[-1]
+        for weighing in weighings.of_run(run, buffer.length(run)):
+            if weighing.step == kept[-1]:
+                st.session_state["weighed"] = weighing.name
+                break
+
+    st.button(
+        f"Every learner on the buffer of step {kept[-1]:,}", key="every learner", on_click=go,
+        icon=":material/scale:",
+    )  # fmt: skip
 
 
 def _figures(run: RunReader, profiles: Profiles, chosen: int, *, relative: bool) -> None:

@@ -80,6 +80,7 @@ def draw(scope: Scope) -> None:
     brush.section(run, rows, mask)
     why.section(run, rows)
     region_tables.transitions(rows, mask, names, actions)
+    region_tables.save(run, source, mask)
     empty.left_out(run, "other snapshots", "simulator states")
     widgets.show_problems(run)
 

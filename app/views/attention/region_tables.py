@@ -1,14 +1,58 @@
 """The chosen rows of a buffer as a table, and as a file."""
 
+import io
+from contextlib import suppress
+
 import numpy as np
 import pandas as pd
 import streamlit as st
+from numpy.typing import NDArray
 
+from app.data import buffer, buffer_map, columns
 from app.data.buffer import Rows
+from app.data.buffer_map import Source
 from app.data.selection import Mask
+from tom.analysis.imagine import step_errors, stored_model
+from tom.analysis.row_table import row_table
+from tom.errors import UserError
+from tom.record.reader import RunReader
+from tom.record.task_record import dimension_names
 
 LISTED = 300
 """maximum number of transitions in the table"""
+
+
+def save(run: RunReader, source: Source, mask: Mask) -> None:
+    """A button that saves the chosen rows, or all, with all that is known of them."""
+
+    def content() -> bytes:
+        file = io.BytesIO()
+        table(run, source)[mask].to_parquet(file, index=False)
+        return file.getvalue()
+
+    which = "all" if mask.all() else "the chosen"
+    st.download_button(
+        f"Save {which} {int(mask.sum()):,} rows (Parquet)", content,
+        f"{run.run_id.replace('/', '-')}-rows-{source.end}.parquet",
+        "application/vnd.apache.parquet", icon=":material/download:", on_click="ignore",
+        key="save rows", help="opens in pandas, DuckDB and Embedding Atlas; see docs/runs.md",
+    )  # fmt: skip
+
+
+def table(run: RunReader, source: Source) -> pd.DataFrame:
+    """The rows of these weights, one line each, as `tom.load(run).rows(step)` has them."""
+    record = buffer.recorded(run).rows
+    part = slice(source.first, source.end)
+    named = dimension_names(run.env, record, buffer.described(run))
+    more: dict[str, NDArray] = {}
+    with suppress(UserError):  # it kept no model
+        more["error"] = step_errors(stored_model(run).predictor, record[part])
+    if any(one.name == columns.DISTANCE for one in columns.recorded(run)):
+        more["policy_distance"] = columns.values(run, columns.DISTANCE)[part]
+    for other in buffer_map.others(run).values():
+        if (other.first, other.end) == (source.first, source.end) and other.label != source.label:
+            more[other.label] = other.weight
+    return row_table(record, source.weight, source.end, named, more)
 
 
 def transitions(rows: Rows, mask: Mask, names: list[str], actions: list[str]) -> None:

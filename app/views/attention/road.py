@@ -8,9 +8,9 @@ from app import session, text
 from app.data import readers, road
 from app.data.called import names, told_apart
 from app.data.road import Picture
-from app.figures.road import road_map
+from app.figures.road import cells, road_map
 from app.parts import address, empty, timeline, widgets
-from app.parts.plot import chart
+from app.parts.plot import Follow, chart
 from app.parts.scope import Scope
 from app.parts.stage import stage
 from app.scenes.control import RoadChoice
@@ -117,7 +117,15 @@ def _flat_map(run: RunReader, step: int, height: int, called: str = "") -> None:
         st.markdown(f"**{text.markdown(called)}**, step {picture.step:,}")
     figure = road_map(picture, session.mode(), height)
     words = "mean weight over the map, with road and trajectories"
-    chart(figure, f"road map {run.run_id}", words)
+    chart(figure, f"road map {run.run_id}", words, follow=_over_fits(run))
+
+
+def _over_fits(run: RunReader) -> Follow:
+    """The cells at every fit, which follow the timeline in the browser."""
+    found = [(step, picture) for step in road.steps(run) if (picture := road.picture(run, step))]
+    return Follow(
+        steps=[step for step, _ in found], traces={0: [cells(picture) for _, picture in found]}
+    )
 
 
 def _fit(run: RunReader, step: int) -> Picture | None:

@@ -10,11 +10,13 @@ from streamlit.testing.v1 import AppTest
 from studio_pages import draw, map_of
 from studio_runs import PENDULUM_TOM, info
 
-from app.data import arrays, buffer, columns, regions
+import tom
+from app.data import arrays, buffer, buffer_map, columns, regions
 from app.data.buffer import WINDOW, Rows, against, rows_at, windows
 from app.data.selection import between, inside
 from app.figures.regions import cell_map, weights_against
 from app.scenes import solids, states
+from app.views.attention.region_tables import table
 from tom.analysis import planes
 from tom.data.transitions import Transitions, episodes
 from tom.envs import scene, task
@@ -248,6 +250,19 @@ def test_cells_are_coloured_by_the_share_of_weight_in_them() -> None:
     near &= np.abs(xy[:, 1] - trace.y[j]) < height / 2  # type: ignore[attr-defined]
     share = weight[near].sum() / weight.sum() / near.mean()
     assert trace.z[j, i] == pytest.approx(np.log2(share))  # type: ignore[attr-defined]
+
+
+def test_saved_rows_are_those_of_the_notebook(rows: Rows, store: Path) -> None:
+    run = info(store, PENDULUM_TOM)
+    saved = table(run, buffer_map.sources(run)[str(FIT)])
+    expected = tom.load(PENDULUM_TOM, store).rows(FIT)
+    shared = [name for name in expected if name in saved]
+    assert {"row", "age", "weight", "contrast_0", "pc_1", "error"} <= set(shared)
+    for name in shared:
+        assert saved[name].to_numpy() == pytest.approx(expected[name].to_numpy(), rel=1e-5)
+    app = in_buffer(run=PENDULUM_TOM, step=str(FIT), where="age ..50")
+    [button] = app.get("download_button")
+    assert "150" in button.proto.label
 
 
 def test_at_an_evaluation_the_weights_are_those_of_the_last_fit_before(store: Path) -> None:
