@@ -37,7 +37,8 @@ def cell_map(
     Few rows make a cell paler. A zoom lasts while `keep` is the same.
     """
     across_ = max(round(np.sqrt(len(weight) / CELL_ROWS)), 1)
-    ends = [np.linspace(*np.quantile(axis, [0.001, 0.999]), across_ + 1) for axis in xy.T]
+    edges = np.quantile(xy, [0.001, 0.999], axis=0)
+    ends = [np.linspace(low, high, across_ + 1) for low, high in edges.T]
     rows, *_ = np.histogram2d(*xy.T, bins=ends)
     mass, *_ = np.histogram2d(*xy.T, bins=ends, weights=weight / weight.mean())
     relative = np.where(rows > 0, mass / np.maximum(rows, 1), np.nan)
