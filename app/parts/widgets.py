@@ -68,11 +68,13 @@ def show_store_problems(problems: Sequence[str]) -> None:
                 st.text(problem)
 
 
-def link_to(path: str, label: str) -> None:
-    """A link to another page of this studio, with what all pages share."""
+def link_to(path: str, label: str, **choices: str) -> None:
+    """A link to another page of this studio, with what all pages share and further choices."""
     pages = st.session_state.get("pages", {})
     if path in pages:  # else this page is drawn alone
-        st.page_link(pages[path], label=label, icon=":material/arrow_forward:")
+        st.page_link(
+            pages[path], label=label, icon=":material/arrow_forward:", query_params=choices or None
+        )
 
 
 def downloads(files: Files, name: str) -> None:

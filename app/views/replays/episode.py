@@ -15,6 +15,7 @@ from app.parts.stage import stage
 from app.scenes.control import ReplayChoice
 from app.theme import learner_label
 from tom import readable
+from tom.envs import ROAD
 from tom.errors import UserError
 from tom.record.reader import RunReader, at_or_before
 
@@ -53,6 +54,7 @@ def draw(scope: Scope) -> None:
     if replay is None:
         return
     _numbers(replay)
+    _link_to_buffer(run, step)
     _, moves = player.position()
     play = st.fragment(_play, run_every=TICK_S if moves else None)
     play(run, replay, returns, index, horizon, moves=moves)
@@ -60,6 +62,15 @@ def draw(scope: Scope) -> None:
         again.when_changed(player.position, LISTEN_S)
     empty.left_out(run, "other evaluations", "other episodes")
     widgets.show_problems(run)
+
+
+def _link_to_buffer(run: RunReader, step: int) -> None:
+    """A link to the episode of the buffer that was collected before the evaluation at `step`."""
+    kept = [fit for fit in run.snapshot_steps() if fit <= step]
+    if kept and run.env != ROAD:
+        label = f"The buffer's newest episode at step {kept[-1]:,}, on its map"
+        where = {"part": "In the buffer", "run": run.run_id, "step": str(kept[-1])}
+        widgets.link_to("attention", label, row=str(kept[-1] - 1), **where)
 
 
 def _loaded(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
