@@ -151,11 +151,11 @@ def _pick_plane(
     if source.weighing:
         of = source.label
     keys = {CONTRAST: f"{CONTRAST}@{of}", PRINCIPAL: f"{PRINCIPAL}@{of}"}
-    keys |= buffer_map.layers(run)
+    # A network takes a second or more to see all rows, so its share is told once it is chosen.
     shares = {kind: buffer_map.explained(run, key, source) for kind, key in keys.items()}
+    keys |= buffer_map.layers(run)
     names = [one.name for one in buffer_map.dimensions(run)]
-    kinds = [kind for kind in keys if np.isfinite(shares[kind])]
-    kinds += [TWO] if len(names) > 1 else []
+    kinds = [*keys, *([TWO] if len(names) > 1 else [])]
     first = TWO if run.env == ROAD and TWO in kinds else CONTRAST
     chosen = address.choose_one(
         place.selectbox, "Plane", kinds, "plane", first,
@@ -170,7 +170,13 @@ def _pick_plane(
         share = buffer_map.explained(run, f"{TWO}@{x}|{y}", source)
         columns[2].caption(f"It explains {share:.2f} of the log weights on rows held out.")
         return f"{TWO}@{x}|{y}"
-    if chosen in (CONTRAST, PRINCIPAL) and of != source.label:
+    if chosen not in shares:
+        share = buffer_map.explained(run, keys[chosen], source)
+        if not np.isfinite(share):
+            st.caption("This network cannot be read: the plane is where weights differ most.")
+            return keys[CONTRAST]
+        st.caption(f"It explains {share:.2f} of the log weights on rows held out.")
+    if chosen in shares and of != source.label:
         row = st.container(horizontal=True, vertical_alignment="center")
         row.caption(f"The plane is that of step {int(of):,}, so that what moves are the weights.")
         if row.button("Plane of this fit"):

@@ -229,6 +229,17 @@ def test_the_plane_stays_while_the_timeline_moves(store: Path) -> None:
     assert app.query_params["of"] == str(fits[0])
 
 
+@pytest.mark.parametrize("kind", ["policy", "model"])
+def test_a_network_has_a_plane_of_what_it_sees(rows: Rows, store: Path, kind: str) -> None:
+    [plane] = map_of(in_buffer(run=PENDULUM_TOM, step=str(FIT), plane=kind))["planes"]
+    assert plane["key"] == f"{kind}@"
+    place = buffer_map.placed(info(store, PENDULUM_TOM), plane["key"])
+    assert place is not None
+    assert np.ptp(place.xy, axis=0).min() > 0
+    x, y = place.xy.T - place.xy.mean(0)[:, None]
+    assert abs(x @ y) < 1e-3 * np.sqrt((x @ x) * (y @ y))  # as of principal components
+
+
 def test_a_row_has_its_episode_and_its_nearest(rows: Rows) -> None:
     given = map_of(in_buffer(run=PENDULUM_TOM, step=str(FIT), row=str(rows.first + 7)))
     same = rows.first + np.flatnonzero(rows.episode == rows.episode[7])
