@@ -219,8 +219,7 @@ def policy_distances(run: RunReader) -> Floats:
     rows, policy = recorded(run).rows.torch(), last_policy(run)
     if policy is None:
         return np.full(len(rows), np.nan)
-    gap = (policy.mean(rows.obs) - rows.action).square().mean(-1).sqrt()
-    return gap.numpy().astype(np.float64)
+    return policy.distances(rows).numpy().astype(np.float64)
 
 
 def errors_on(run: RunReader, other: RunReader) -> Floats | None:

@@ -8,13 +8,15 @@ import pandas as pd
 import streamlit as st
 from numpy.typing import NDArray
 
-from app.data import buffer, buffer_map, columns
+from app.data import buffer
 from app.data.buffer import Rows
 from app.data.buffer_map import Source
+from app.data.readers import reader
 from app.data.selection import Mask
 from tom.analysis.imagine import step_errors, stored_model
 from tom.analysis.row_table import row_table
 from tom.errors import UserError
+from tom.frames import Run
 from tom.record.reader import RunReader
 from tom.record.task_record import dimension_names
 
@@ -40,18 +42,15 @@ def save(run: RunReader, source: Source, mask: Mask) -> None:
 
 
 def table(run: RunReader, source: Source) -> pd.DataFrame:
-    """The rows of these weights, one line each, as `tom.load(run).rows(step)` has them."""
+    """The rows of these weights, a line each; of a fit they are `tom.load(run).rows(step)`."""
+    if source.weighing is None:
+        return Run(reader(run)).rows(int(source.label))
     record = buffer.recorded(run).rows
-    part = slice(source.first, source.end)
     named = dimension_names(run.env, record, buffer.described(run))
     more: dict[str, NDArray] = {}
     with suppress(UserError):  # it kept no model
-        more["error"] = step_errors(stored_model(run).predictor, record[part])
-    if any(one.name == columns.DISTANCE for one in columns.recorded(run)):
-        more["policy_distance"] = columns.values(run, columns.DISTANCE)[part]
-    for other in buffer_map.others(run).values():
-        if (other.first, other.end) == (source.first, source.end) and other.label != source.label:
-            more[other.label] = other.weight
+        rows = record[source.first : source.end]
+        more["error"] = step_errors(stored_model(run).predictor, rows)
     return row_table(record, source.weight, source.end, named, more)
 
 
