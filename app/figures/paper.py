@@ -27,7 +27,7 @@ LINE = 0.42  # points of a line for a pixel on the screen
 DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-.", "longdash": (0, (8, 3)),
           "longdashdot": (0, (8, 3, 1, 3))}  # fmt: skip
 SYMBOLS = {"circle": "o", "square": "s", "diamond": "D", "triangle-up": "^", "triangle-down": "v",
-           "pentagon": "p", "x": "X"}  # fmt: skip
+           "pentagon": "p", "x": "X", "diamond-wide": "d"}  # fmt: skip
 STYLE: dict[Any, Any] = {
     "font.size": TEXT, "font.family": "sans-serif", "axes.spines.top": False,
     "axes.spines.right": False, "axes.linewidth": 0.6, "xtick.major.width": 0.6,
@@ -53,17 +53,22 @@ def paper_figure(shown: Mapping[str, Any], width: str, kind: str) -> bytes:
         + 0.1 * bool(labels)
         + LETTER * max((len(_plain(one["text"])) for one in labels), default=0)
     )
+    rows = [
+        _plain(words) for pair in shown["axes"].values() for words in pair["y"]["ticktext"] or ()
+    ]
+    longest = max((len(line) for words in rows for line in words.split("\n")), default=0)
+    left = min(max(LEFT, 0.35 + LETTER * longest), 0.5 * inches)
     across = max(
-        1, int((inches - LEFT) / (0.45 + LETTER * max((len(t["name"]) for t in keyed), default=1)))
+        1, int((inches - left) / (0.45 + LETTER * max((len(t["name"]) for t in keyed), default=1)))
     )
     top = TOP + ROW * -(-len(keyed) // across)
     height = top + BOTTOM + inches * min(max(float(shown["ratio"]), 0.3), 1.2) * 0.8
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(inches, height))
         box = (
-            LEFT / inches,
+            left / inches,
             BOTTOM / height,
-            1 - (LEFT + right) / inches,
+            1 - (left + right) / inches,
             1 - (BOTTOM + top) / height,
         )
         axes = {name: _axes(figure, box, pair) for name, pair in shown["axes"].items()}
@@ -97,7 +102,12 @@ def _axes(figure: Figure, box: Sequence[float], pair: Mapping[str, Any]) -> Axes
         ends = [10**end if axis["type"] == "log" else end for end in axis["range"]]
         axes.set(**{f"{name}lim": ends, f"{name}label": _plain(axis["title"])})
         if axis["tickvals"]:
-            axes.set(**{f"{name}ticks": axis["tickvals"], f"{name}ticklabels": axis["ticktext"]})
+            axes.set(
+                **{
+                    f"{name}ticks": axis["tickvals"],
+                    f"{name}ticklabels": [*map(_plain, axis["ticktext"])],
+                }
+            )
             axes.minorticks_off()
     if x["type"] != "log" and max(map(abs, x["range"])) >= 10_000:
         axes.xaxis.set_major_formatter(lambda at, _: f"{at / 1000:g}k")
@@ -124,6 +134,17 @@ def _trace(figure: Figure, axes: Axes, trace: Mapping[str, Any]) -> None:
     elif trace["fill"]:
         axes.fill(x, y, color=_rgba(trace["fill"]), linewidth=0)
     else:
+        if bars := trace["bars"]:
+            ends = np.array([bars["arrayminus"], bars["array"]], np.float64)
+            axes.errorbar(x, y, xerr=ends, fmt="none", ecolor=_rgba(bars["color"]), elinewidth=0.8)
+        for at, height, (symbol, colour) in zip(x, y, trace["marks"] or (), strict=False):
+            name, _, hollow = symbol.partition("-open")
+            axes.plot(
+                at, height, SYMBOLS[name], color=_rgba(colour), markersize=4,
+                markerfacecolor="white" if symbol != name or hollow else _rgba(colour),
+            )  # fmt: skip
+        if trace["marks"]:
+            return
         style = {"alpha": trace["opacity"], "color": _rgba(trace["colour"])}
         lines, marks = "lines" in trace["mode"], "markers" in trace["mode"]
         axes.plot(
