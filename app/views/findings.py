@@ -62,7 +62,10 @@ def _card(study: Study) -> None:
         st.markdown(text.markdown(found.sentence))
         height = 110 + 22 * len(found.points)
         figure = intervals(found.points, found.axis, found.level, height, study.name)
-        chart(figure, f"verdict {study.name}", f"{study.question}: {found.axis}")
+        caption = f"{study.question} {found.sentence} Bars: 95 % intervals."
+        chart(
+            figure, f"verdict {study.name}", f"{study.question}: {found.axis}", caption=caption
+        )  # fmt: skip
         st.markdown(f"**Against it.** {text.markdown(found.against)}")
     else:
         if study.findings:

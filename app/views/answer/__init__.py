@@ -160,12 +160,24 @@ def _card(
             figure.add_shape(across(level, 1.2, "dash"))
         st.caption(what)
         chart(
-            figure, f"answer {question}", f"{what}, against env steps", follow=Follow(cursor=True)
+            figure,
+            f"answer {question}",
+            f"{what}, against env steps",
+            follow=Follow(cursor=True),
+            caption=_caption(what, groups, looks),
         )
     st.markdown(answered.sentence)
     if answered.more:
         st.caption(answered.more)
     widgets.link_to(link, f"See it on {link.capitalize()}")
+
+
+def _caption(what: str, groups: Sequence[Group], looks: Mapping[Kind, Look]) -> str:
+    named = ", ".join(f"{looks[group.kind].title} (n = {group.n})" for group in groups)
+    return (
+        f"{what.capitalize()}, against env steps. Line: mean over seeds, band: 95 % bootstrap "
+        f"interval, thin lines: single runs. {named}."
+    )
 
 
 def _side(title: str, runs: Sequence[RunReader]) -> Side:

@@ -169,7 +169,8 @@ def rows(shown: dict[str, Any]) -> dict[str, Any]:
     """A figure with a named row for each result, which has a bar."""
     first = shown["traces"][0]
     first |= {
-        "fill": None, "x": [10, 20], "y": [0, 1], "mode": "markers", "marks": [["circle", "#000000"]] * 2,
+        "fill": None, "x": [10, 20], "y": [0, 1], "mode": "markers",
+        "marks": [["circle", "#000000"]] * 2,
         "bars": {"array": [1, 2], "arrayminus": [3, 4], "color": "#000000"},
     }  # fmt: skip
     names = ["half TOM mended, half uniform<br>p .04, corrected .2", "PMAC"]
