@@ -142,13 +142,14 @@ def _trace(axes: Axes, trace: Mapping[str, Any]) -> None:
         if bars := trace["bars"]:
             ends = np.array([bars["arrayminus"], bars["array"]], np.float64)
             axes.errorbar(x, y, xerr=ends, fmt="none", ecolor=_rgba(bars["color"]), elinewidth=0.8)
-        for at, height, (symbol, colour) in zip(x, y, trace["marks"] or (), strict=False):
+        marks: Sequence[tuple[str, str]] = trace["marks"] or ()
+        for at, height, (symbol, colour) in zip(x, y, marks, strict=False):
             name = symbol.removesuffix("-open")
             axes.plot(
                 at, height, SYMBOLS[name], color=_rgba(colour), markersize=4,
                 markerfacecolor="white" if symbol != name else _rgba(colour),
             )  # fmt: skip
-        if trace["marks"]:
+        if marks:
             return
         style = {"alpha": trace["opacity"], "color": _rgba(trace["colour"])}
         lines, marks = "lines" in trace["mode"], "markers" in trace["mode"]

@@ -4,7 +4,6 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-import pandas as pd
 import streamlit as st
 
 from app import session, text
@@ -57,7 +56,8 @@ def left_out(run: RunReader, *parts: str) -> bool:
     lacking = [name for name in dict.fromkeys(names) if name in run.left_out]
     if not lacking:
         return False
-    recorded = int(readers.metrics(run).get("eval/return", pd.Series()).notna().sum())
+    metrics = readers.metrics(run)
+    recorded = int(metrics["eval/return"].count()) if "eval/return" in metrics else 0
     counts = {
         "other evaluations": (len(run.evaluation_steps()), recorded, "evaluations"),
         "other snapshots": (len(run.snapshot_steps()), len(readers.profiles(run).env_step),

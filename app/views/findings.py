@@ -37,10 +37,10 @@ def page(scope: Scope) -> None:
             label_visibility="collapsed",
         )  # fmt: skip
         if chosen == EVERY:
-            for first in range(0, len(listed), 2):
-                for column, study in zip(st.columns(2), listed[first : first + 2], strict=False):
-                    with column, st.container(border=True, height="stretch"):
-                        _card(study)
+            grid = st.container(horizontal=True, key="grid")
+            for study in listed:
+                with grid, st.container(border=True, height="stretch"):
+                    _card(study)
         else:
             _whole(by_name[chosen])
     else:

@@ -282,7 +282,7 @@ def _settings(shown: Sequence[RunReader]) -> None:
     )
 
     def marked(row: pd.Series) -> list[str]:
-        return ["" if i < 2 or value == row.iloc[1] else "font-weight: 650; color: #c3521f"
+        return ["" if i < 2 or value == row.iloc[1] else "font-weight: 650; background-color: rgba(200, 68, 28, 0.2)"
                 for i, value in enumerate(row)]  # fmt: skip
 
     st.dataframe(table.style.apply(marked, axis=1), hide_index=True)
