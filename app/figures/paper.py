@@ -142,7 +142,7 @@ def _trace(axes: Axes, trace: Mapping[str, Any]) -> None:
         if bars := trace["bars"]:
             ends = np.array([bars["arrayminus"], bars["array"]], np.float64)
             axes.errorbar(x, y, xerr=ends, fmt="none", ecolor=_rgba(bars["color"]), elinewidth=0.8)
-        marks: Sequence[tuple[str, str]] = trace["marks"] or ()
+        marks: Sequence[tuple[str, str]] = trace.get("marks") or ()
         for at, height, (symbol, colour) in zip(x, y, marks, strict=False):
             name = symbol.removesuffix("-open")
             axes.plot(

@@ -56,8 +56,7 @@ def left_out(run: RunReader, *parts: str) -> bool:
     lacking = [name for name in dict.fromkeys(names) if name in run.left_out]
     if not lacking:
         return False
-    metrics = readers.metrics(run)
-    recorded = int(metrics["eval/return"].count()) if "eval/return" in metrics else 0
+    recorded = len(widgets.curve(run, "eval/return").step)
     counts = {
         "other evaluations": (len(run.evaluation_steps()), recorded, "evaluations"),
         "other snapshots": (len(run.snapshot_steps()), len(readers.profiles(run).env_step),

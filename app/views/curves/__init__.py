@@ -282,7 +282,8 @@ def _settings(shown: Sequence[RunReader]) -> None:
     )
 
     def marked(row: pd.Series) -> list[str]:
-        return ["" if i < 2 or value == row.iloc[1] else "font-weight: 650; background-color: rgba(200, 68, 28, 0.2)"
+        style = "font-weight: 650; background-color: rgba(200, 68, 28, 0.2)"
+        return ["" if i < 2 or value == row.iloc[1] else style
                 for i, value in enumerate(row)]  # fmt: skip
 
     st.dataframe(table.style.apply(marked, axis=1), hide_index=True)
