@@ -142,14 +142,14 @@ def _trace(axes: Axes, trace: Mapping[str, Any]) -> None:
         if bars := trace["bars"]:
             ends = np.array([bars["arrayminus"], bars["array"]], np.float64)
             axes.errorbar(x, y, xerr=ends, fmt="none", ecolor=_rgba(bars["color"]), elinewidth=0.8)
-        marks: Sequence[tuple[str, str]] = trace.get("marks") or ()
-        for at, height, (symbol, colour) in zip(x, y, marks, strict=False):
+        points: Sequence[tuple[str, str]] = trace["marks"] or ()
+        for at, height, (symbol, colour) in zip(x, y, points, strict=False):
             name = symbol.removesuffix("-open")
             axes.plot(
                 at, height, SYMBOLS[name], color=_rgba(colour), markersize=4,
                 markerfacecolor="white" if symbol != name else _rgba(colour),
             )  # fmt: skip
-        if marks:
+        if points:
             return
         style = {"alpha": trace["opacity"], "color": _rgba(trace["colour"])}
         lines, marks = "lines" in trace["mode"], "markers" in trace["mode"]
