@@ -31,6 +31,7 @@ BORDER: dict[Mode, str] = {"light": "#dde2ec", "dark": "#2c3342"}
 
 # Buttons and sliders: no learner's colour, so that colour always means data.
 ACCENT: dict[Mode, str] = {"light": "#4a5a8a", "dark": "#6379bd"}
+LINK: dict[Mode, str] = {"light": ACCENT["light"], "dark": "#8fa3e0"}
 
 # Weight relative to uniform. Rows that count more have stronger colours: pale blue counts less,
 # the page's own tone as much, strong orange more.
@@ -178,6 +179,7 @@ def streamlit_options(theme: Mode | None) -> dict[str, Any]:
             f"{section}.secondaryBackgroundColor": SURFACE[mode],
             f"{section}.textColor": TEXT[mode],
             f"{section}.borderColor": BORDER[mode],
-            f"{section}.linkColor": ACCENT[mode],
+            f"{section}.linkColor": LINK[mode],
+            f"{section}.codeTextColor": TEXT[mode],
         }
     return options

@@ -248,8 +248,12 @@ def group_curves(
         words.append(f"thinned to {GRID} points a line")
     if singles and any(len(c.step) > POINTS for g in groups if g.n > 1 for c in g.curves):
         words.append(f"single runs thinned to {POINTS} points each")
+    named = {_identity(one): [styles[one.kind].title, one.kind.preset] for one in groups}
     # One label for all lines at a step, the highest first.
-    figure.update_layout(hovermode="x unified", hoversort="value descending")
+    figure.update_layout(
+        hovermode="x unified", hoversort="value descending",
+        meta={"y": short_title(metric), "groups": named},  # for a saved table
+    )  # fmt: skip
     cut_bands(figure, log_x=axes.log_x, log_y=axes.log_y)
     words += left_out(drawn, log_x=axes.log_x, log_y=axes.log_y)
     return note(figure, words)

@@ -7,6 +7,7 @@ zoomed range, labels and lines.
 import io
 import re
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import Any
 
 import matplotlib as mpl
@@ -21,13 +22,14 @@ WIDTHS = {"one": 3.4, "two": 7.0}
 """inches of one and of two columns"""
 KINDS = {"pdf": "application/pdf", "svg": "image/svg+xml", "png": "image/png"}
 TEXT = 8  # points
-LEFT, RIGHT, BOTTOM, TOP = 0.55, 0.12, 0.42, 0.1  # inches around the axes
+EDGE = 0.04  # inches between what is drawn and the edge of the figure
+ROWS = 30  # letters of a line of a label
 LETTER, ROW = 0.062, 0.16  # inches of a letter, and of a row of the legend
 LINE = 0.42  # points of a line for a pixel on the screen
 DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-.", "longdash": (0, (8, 3)),
           "longdashdot": (0, (8, 3, 1, 3))}  # fmt: skip
 SYMBOLS = {"circle": "o", "square": "s", "diamond": "D", "triangle-up": "^", "triangle-down": "v",
-           "pentagon": "p", "x": "X"}  # fmt: skip
+           "pentagon": "p", "x": "X", "diamond-wide": "d"}  # fmt: skip
 STYLE: dict[Any, Any] = {
     "font.size": TEXT, "font.family": "sans-serif", "axes.spines.top": False,
     "axes.spines.right": False, "axes.linewidth": 0.6, "xtick.major.width": 0.6,
@@ -48,64 +50,76 @@ def paper_figure(shown: Mapping[str, Any], width: str, kind: str) -> bytes:
     notes = [one for one in shown["annotations"] if one["xref"] == "paper" and one["x"] >= 1]
     labels = [one for one in notes if one["yref"] != "paper"]
     keyed = [t for t in shown["traces"] if t["showlegend"]] if shown["legend"] else []
-    right = (
-        RIGHT
-        + 0.1 * bool(labels)
-        + LETTER * max((len(_plain(one["text"])) for one in labels), default=0)
-    )
-    across = max(
-        1, int((inches - LEFT) / (0.45 + LETTER * max((len(t["name"]) for t in keyed), default=1)))
-    )
-    top = TOP + ROW * -(-len(keyed) // across)
-    height = top + BOTTOM + inches * min(max(float(shown["ratio"]), 0.3), 1.2) * 0.8
+    longest = max((len(t["name"]) for t in keyed), default=1)
+    across = max(1, int((inches - 0.5) / (0.45 + LETTER * longest)))
+    top = ROW * -(-len(keyed) // across)
+    height = top + 0.5 + inches * min(max(float(shown["ratio"]), 0.3), 1.2) * 0.8
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(inches, height))
-        box = (
-            LEFT / inches,
-            BOTTOM / height,
-            1 - (LEFT + right) / inches,
-            1 - (BOTTOM + top) / height,
-        )
-        axes = {name: _axes(figure, box, pair) for name, pair in shown["axes"].items()}
+        axes = {name: _axes(figure, pair, inches) for name, pair in shown["axes"].items()}
         for trace in shown["traces"]:
-            _trace(figure, axes[trace["axes"]], trace)
-        for shape in shown["shapes"]:
-            _line(next(iter(axes.values())), shape)
+            _trace(axes[trace["axes"]], trace)
         first = next(iter(axes.values()))
-        _labels(first, labels, 72 * (height - BOTTOM - top))
+        for shape in shown["shapes"]:
+            _line(first, shape)
+        _labels(first, labels, 72 * (height - 0.5 - top))
+        _fit(figure, axes, shown["axes"], top)
         if keyed:
             figure.legend(
                 *_handles(axes, keyed), loc="upper left", ncols=across, fontsize=TEXT,
-                bbox_to_anchor=(box[0], 1), borderaxespad=0.1, handlelength=1.6, columnspacing=1,
+                bbox_to_anchor=(0.02, 1), borderaxespad=0.1, handlelength=1.6, columnspacing=1,
             )  # fmt: skip
         file = io.BytesIO()
         figure.savefig(file, format=kind, dpi=600)
     return file.getvalue()
 
 
-def _axes(figure: Figure, box: Sequence[float], pair: Mapping[str, Any]) -> Axes:
-    """The axes of an x and a y axis, at their share of the box (left, bottom, width, height)."""
+def _fit(figure: Figure, axes: Mapping[str, Axes], pairs: Mapping[str, Any], top: float) -> None:
+    """Give every axes its share of what its labels and the `top` inches leave of the figure."""
+    width, height = figure.get_size_inches()
+    left, bottom, right, over = 0.3, 0.3, 0.1, 0.1 + top
+    for _ in range(3):  # labels move with the axes
+        across, up = width - left - right, height - bottom - over
+        for name, pair in pairs.items():
+            (x0, x1), (y0, y1) = pair["x"]["domain"], pair["y"]["domain"]
+            place = (left + x0 * across, bottom + y0 * up, (x1 - x0) * across, (y1 - y0) * up)
+            axes[name].set_position(tuple(np.divide(place, (width, height) * 2)))
+        figure.draw_without_rendering()
+        box = figure.get_tightbbox()
+        left, bottom = left + EDGE - box.x0, bottom + EDGE - box.y0
+        right, over = right + EDGE + box.x1 - width, over + EDGE + box.y1 - height + top
+        left, right = (min(margin, 0.65 * width) for margin in (left, right))
+
+
+def _axes(figure: Figure, pair: Mapping[str, Any], inches: float) -> Axes:
+    """The axes of an x and a y axis, not yet in their place."""
     x, y = pair["x"], pair["y"]
-    (x0, x1), (y0, y1) = x["domain"], y["domain"]
-    left, bottom, width, height = box
-    axes = figure.add_axes(
-        (left + x0 * width, bottom + y0 * height, (x1 - x0) * width, (y1 - y0) * height)
-    )
+    axes = figure.add_axes((0, 0, 1, 1), label=f"{x['domain']} {y['domain']}")
     for axis, name in ((x, "x"), (y, "y")):
         if axis["type"] == "log":
             axes.set(**{f"{name}scale": "log"})
         ends = [10**end if axis["type"] == "log" else end for end in axis["range"]]
-        axes.set(**{f"{name}lim": ends, f"{name}label": _plain(axis["title"])})
+        title = fill(_plain(axis["title"]), int(12 * inches) if name == "x" else 60)
+        axes.set(**{f"{name}lim": ends, f"{name}label": title})
         if axis["tickvals"]:
-            axes.set(**{f"{name}ticks": axis["tickvals"], f"{name}ticklabels": axis["ticktext"]})
+            words = [_wrapped(word) for word in axis["ticktext"]]
+            axes.set(**{f"{name}ticks": axis["tickvals"], f"{name}ticklabels": words})
             axes.minorticks_off()
     if x["type"] != "log" and max(map(abs, x["range"])) >= 10_000:
         axes.xaxis.set_major_formatter(lambda at, _: f"{at / 1000:g}k")
+    if y["domain"][0] > 0.01:  # another one is below it, on the same x axis
+        axes.tick_params(labelbottom=False)
+        axes.set_xlabel("")
     axes.grid(axis="y", linewidth=0.3, alpha=0.5)
     return axes
 
 
-def _trace(figure: Figure, axes: Axes, trace: Mapping[str, Any]) -> None:
+def _wrapped(words: str) -> str:
+    """A label in lines that are not long."""
+    return "\n".join(fill(line, ROWS) for line in _plain(words).split("\n"))
+
+
+def _trace(axes: Axes, trace: Mapping[str, Any]) -> None:
     x, y = _numbers(trace["x"]), _numbers(trace["y"])
     if trace["type"] == "heatmap":
         z = np.asarray(trace["z"], np.float64)
@@ -115,7 +129,8 @@ def _trace(figure: Figure, axes: Axes, trace: Mapping[str, Any]) -> None:
             _edges(x, z.shape[1]), _edges(y, z.shape[0]), z, cmap=colours, rasterized=True,
             vmin=trace["zmin"], vmax=trace["zmax"],
         )  # fmt: skip
-        bar = figure.colorbar(drawn, ax=axes, pad=0.02, fraction=0.05)
+        beside = axes.inset_axes((1.02, 0, 0.03, 1))
+        bar = axes.figure.colorbar(drawn, cax=beside)
         if trace["ticks"]:
             bar.set_ticks(trace["ticks"]["tickvals"], labels=trace["ticks"]["ticktext"])
     elif trace["type"] == "bar":
@@ -124,6 +139,18 @@ def _trace(figure: Figure, axes: Axes, trace: Mapping[str, Any]) -> None:
     elif trace["fill"]:
         axes.fill(x, y, color=_rgba(trace["fill"]), linewidth=0)
     else:
+        if bars := trace["bars"]:
+            ends = np.array([bars["arrayminus"], bars["array"]], np.float64)
+            axes.errorbar(x, y, xerr=ends, fmt="none", ecolor=_rgba(bars["color"]), elinewidth=0.8)
+        points: Sequence[tuple[str, str]] = trace["marks"] or ()
+        for at, height, (symbol, colour) in zip(x, y, points, strict=False):
+            name = symbol.removesuffix("-open")
+            axes.plot(
+                at, height, SYMBOLS[name], color=_rgba(colour), markersize=4,
+                markerfacecolor="white" if symbol != name else _rgba(colour),
+            )  # fmt: skip
+        if points:
+            return
         style = {"alpha": trace["opacity"], "color": _rgba(trace["colour"])}
         lines, marks = "lines" in trace["mode"], "markers" in trace["mode"]
         axes.plot(
@@ -164,15 +191,19 @@ def _labels(axes: Axes, labels: Sequence[Mapping[str, Any]], points: float) -> N
 def _handles(axes: Mapping[str, Axes], keyed: Sequence[Mapping[str, Any]]) -> tuple[list, list]:
     from matplotlib.lines import Line2D
 
-    handles = [
-        Line2D(
-            [], [], color=_rgba(trace["colour"]), linewidth=LINE * trace["width"],
-            linestyle=DASHES[trace["dash"]] if "lines" in trace["mode"] else "",
-            marker=SYMBOLS.get(trace["symbol"], "o") if "markers" in trace["mode"] else "",
-            markersize=3,
-        )
-        for trace in keyed
-    ]  # fmt: skip
+    handles = []
+    for trace in keyed:
+        symbol = trace["marks"][0][0] if trace["marks"] else trace["symbol"]
+        name = symbol.removesuffix("-open")
+        colour = _rgba(trace["colour"])
+        handles.append(
+            Line2D(
+                [], [], color=colour, linewidth=LINE * trace["width"],
+                linestyle=DASHES[trace["dash"]] if "lines" in trace["mode"] else "",
+                marker=SYMBOLS.get(name, "o") if "markers" in trace["mode"] else "",
+                markersize=3, markerfacecolor="white" if symbol != name else colour,
+            )
+        )  # fmt: skip
     return handles, [_plain(trace["name"]) for trace in keyed]
 
 

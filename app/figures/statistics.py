@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -13,8 +14,6 @@ from app.figures.base import band, line, styled, upright
 from app.figures.curves import HOLLOW, Look, core
 from app.theme import NEUTRAL, learner_colour
 from tom.analysis.statistics import Interval
-
-LAST = 1.03  # of the axis of probabilities, where the column of p begins
 
 
 @dataclass(frozen=True)
@@ -76,8 +75,7 @@ def intervals(
             name=text.plotly(name),
             marker={"size": 9, "color": colours, "symbol": [one.symbol for one in of],
                     "line": {"color": colours, "width": 2}},
-            error_x={"type": "data", "symmetric": False, "array": np.nan_to_num(high - value),
-                     "arrayminus": np.nan_to_num(value - low), "color": NEUTRAL, "thickness": 1.6},
+            error_x=_reach(value, low, high),
             text=[
                 f"{text.plotly(one.series or one.line)}: {one.value:.3g}"
                 + (f" ({one.low:.3g} to {one.high:.3g})" if np.isfinite(one.low) else "")
@@ -113,35 +111,21 @@ def improvement(
 
     A zoom lasts while `keep`, which names the runs, is the same.
     """
-    names = [f"{text.plotly(pair.first)} > {text.plotly(pair.second)}" for pair in pairs]
     found = [pair.probability for pair in pairs]
     value, low, high = np.array([(one.value, one.low, one.high) for one in found]).reshape(-1, 3).T
     chance = [f"p {pair.p:.2g}, corrected {pair.corrected:.2g}" for pair in pairs]
     if len(pairs) == 1:
         chance = [f"p {pairs[0].p:.2g}"]
+    names = [f"{text.plotly(pair.first)} > {text.plotly(pair.second)}" for pair in pairs]
+    labels = [f"{name}<br>{p}" for name, p in zip(names, chance, strict=True)]
+    rows = np.arange(len(pairs))
     figure = go.Figure(
         go.Scatter(
-            x=value,
-            y=names,
-            mode="markers",
-            marker={"size": 10, "color": colours},
-            text=chance,
-            error_x={
-                "type": "data",
-                "symmetric": False,
-                "array": np.nan_to_num(high - value),
-                "arrayminus": np.nan_to_num(value - low),
-                "color": NEUTRAL,
-                "thickness": 2,
-            },
-            hovertemplate="P(%{y}) = %{x:.2f}, %{text}<extra></extra>",
-            showlegend=False,
+            x=value, y=rows, mode="markers", marker={"size": 10, "color": colours}, text=labels,
+            error_x=_reach(value, low, high), name="probability",
+            hovertemplate="%{text}: %{x:.2f}<extra></extra>", showlegend=False,
         )
-    )
-    column = {"textposition": "middle right", "hoverinfo": "skip", "showlegend": False}
-    figure.add_scatter(
-        x=np.full(len(pairs), LAST), y=names, mode="text", text=chance, cliponaxis=False, **column
-    )
+    )  # fmt: skip
     ticks = [0, 0.2, 0.4, 0.6, 0.8, 1]
     return styled(
         figure,
@@ -149,8 +133,13 @@ def improvement(
         height,
         keep=f"improvement {keep}",
         marks=[upright(0.5, 1.5, "dash")],
-        x_axis={"range": [-0.03, LAST], "tickvals": ticks, "showgrid": True},
-        y_axis={"autorange": "reversed", "showgrid": False},
-        # Pixels for the column of p: a share of the axis would shrink beside long names.
-        margin={"r": 14 + 7 * max(map(len, chance), default=0)},
-    )
+        x_axis={"range": [-0.03, 1.03], "tickvals": ticks, "showgrid": True},
+        y_axis={"range": [len(pairs) - 0.5, -0.5], "showgrid": False,
+                "tickvals": rows, "ticktext": labels},
+    )  # fmt: skip
+
+
+def _reach(value: NDArray, low: NDArray, high: NDArray) -> dict[str, Any]:
+    """The bars of intervals; none where the ends are NaN."""
+    ends = {"array": np.nan_to_num(high - value), "arrayminus": np.nan_to_num(value - low)}
+    return {"type": "data", "symmetric": False, "color": NEUTRAL, "thickness": 1.6, **ends}

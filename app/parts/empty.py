@@ -54,9 +54,20 @@ def left_out(run: RunReader, *parts: str) -> bool:
     """
     names = [name for part in parts for name in (part, part.removeprefix("other "))]
     lacking = [name for name in dict.fromkeys(names) if name in run.left_out]
-    if lacking:
-        st.caption(f"Left out of this small copy: {', '.join(lacking)}.")
-    return bool(lacking)
+    if not lacking:
+        return False
+    recorded = len(widgets.curve(run, "eval/return").step)
+    counts = {
+        "other evaluations": (len(run.evaluation_steps()), recorded, "evaluations"),
+        "other snapshots": (len(run.snapshot_steps()), len(readers.profiles(run).env_step),
+                            "fits' single weights"),
+    }  # fmt: skip
+    kept = [f"{n} of {of} {name}" for key, (n, of, name) in counts.items() if key in lacking]
+    others = [name for name in lacking if name not in counts]
+    words = [f"Examples keep {' and '.join(kept)}."] if kept else []
+    words += [f"Left out of this example: {', '.join(others)}."] if others else []
+    st.caption(" ".join(words))
+    return True
 
 
 def left_out_of_all(runs: Sequence[RunReader], part: str) -> bool:

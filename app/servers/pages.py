@@ -22,6 +22,7 @@ from starlette.responses import (
 from starlette.routing import Route
 from streamlit import config, file_util
 
+from app import glossary
 from app.data import arrays, readers, studies
 from app.guard import Guard
 from app.links import Links
@@ -170,6 +171,7 @@ def routes(links: Links) -> list[Route]:
     return [
         Route("/v/{code}", short),
         *[Route(path, forward) for path in FORWARDED],
+        Route(f"/{glossary.PATH}", lambda _: HTMLResponse(glossary.page())),
         Route("/reports/{study}", report),
         Route("/rrd/{run}/{name}", recording),
         Route("/api/health", health),

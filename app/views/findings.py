@@ -37,10 +37,10 @@ def page(scope: Scope) -> None:
             label_visibility="collapsed",
         )  # fmt: skip
         if chosen == EVERY:
-            for first in range(0, len(listed), 2):
-                for column, study in zip(st.columns(2), listed[first : first + 2], strict=False):
-                    with column, st.container(border=True, height="stretch"):
-                        _card(study)
+            grid = st.container(horizontal=True, key="grid")
+            for study in listed:
+                with grid, st.container(border=True, height="stretch"):
+                    _card(study)
         else:
             _whole(by_name[chosen])
     else:
@@ -62,7 +62,10 @@ def _card(study: Study) -> None:
         st.markdown(text.markdown(found.sentence))
         height = 110 + 22 * len(found.points)
         figure = intervals(found.points, found.axis, found.level, height, study.name)
-        chart(figure, f"verdict {study.name}", f"{study.question}: {found.axis}")
+        caption = f"{study.question} {found.sentence} Bars: 95 % intervals."
+        chart(
+            figure, f"verdict {study.name}", f"{study.question}: {found.axis}", caption=caption
+        )  # fmt: skip
         st.markdown(f"**Against it.** {text.markdown(found.against)}")
     else:
         if study.findings:

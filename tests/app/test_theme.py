@@ -14,9 +14,12 @@ from app.theme import (
     COLUMNS,
     DIVERGING,
     LEARNER_COLOURS,
+    LINK,
     NEUTRAL,
     QUALITATIVE,
+    SURFACE,
     SYMBOLS,
+    TEXT,
     Mode,
     learner_colour,
     learner_label,
@@ -185,3 +188,9 @@ def test_heavy_weights_stand_out_more_than_light_ones(mode: Mode) -> None:
     assert contrast(ends[1.0], page) > 2 * contrast(ends[0.0], page)
     assert contrast(ends[0.0], page) > 1.05 * contrast(ends[0.5], page)
     assert (np.diff([contrast(colour, page) for _, colour in COLUMNS[mode]]) > 0).all()
+
+
+@pytest.mark.parametrize("mode", ["light", "dark"])
+def test_words_and_links_can_be_read(mode: Mode) -> None:
+    behind = (BACKGROUND[mode], SURFACE[mode])
+    assert min(contrast(words[mode], page) for words in (TEXT, LINK) for page in behind) >= 4.5

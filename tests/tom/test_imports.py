@@ -63,6 +63,7 @@ ROOMS = {  # from the top down; docs/architecture.md draws the same tree
         "links",
         "theme",
         "text",
+        "glossary",
     ),
 }
 FILES = [path for package in ROOMS for path in sorted((ROOT / package).rglob("*.py"))]

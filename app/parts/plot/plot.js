@@ -103,16 +103,24 @@ const titled = (title) => (title?.text && !title.text.startsWith("Click to enter
 const drawnTraces = (plot) =>
   plot._fullData.filter(({ visible, type }) => visible === true && ["scatter", "scattergl", "bar", "heatmap"].includes(type));
 
-// Every drawn number, one line each, with the name of its trace; once, also that of a hollow line.
+// Every drawn number, one line each, with the name of its trace, its group and the group's preset; a
+// hollow line once.
 function csv(plot) {
   const quoted = (value) => (/[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : value);
   const { xaxis, yaxis } = plot._fullLayout;
-  const head = ["line", titled(xaxis?.title) || "x", titled(yaxis?.title) || plot.layout.meta?.y || "y", "value"];
-  const rows = drawnTraces(plot).filter(({ name }) => name !== "core").flatMap(({ name, x, y, z }) =>
-    z
-      ? [...z].flatMap((row, j) => [...row].map((value, i) => [name, x[i], y[j], value]))
-      : [...(x ?? [])].map((at, i) => [name, at, y[i], ""]),
-  );
+  const { y: named, groups } = plot.layout.meta ?? {};
+  const axes = [titled(xaxis?.title) || "x", titled(yaxis?.title) || named || "y"];
+  const head = ["line", "group", "preset", ...axes, "value", "low", "high"];
+  const rows = drawnTraces(plot).filter(({ name }) => name !== "core").flatMap((trace) => {
+    const { name, x, y, z, text, error_x: bars } = trace;
+    const of = groups?.[trace.legendgroup] ?? ["", ""];
+    if (z) return [...z].flatMap((row, j) => [...row].map((value, i) => [name, ...of, x[i], y[j], value, "", ""]));
+    // A band goes along its upper edge, and back along the lower one.
+    const edge = (i) => (trace.fill === "toself" ? (i < x.length / 2 ? ", high" : ", low") : "");
+    const ends = (at, i) => (bars?.array?.[i] || bars?.arrayminus?.[i] ? [at - bars.arrayminus[i], at + bars.array[i]] : ["", ""]);
+    const called = (i) => (Array.isArray(text) ? text[i].replace("<br>", ", ") : name + edge(i));
+    return [...(x ?? [])].map((at, i) => [called(i), ...of, at, y[i], "", ...ends(at, i)]);
+  });
   return [head, ...rows].map((row) => row.map((value) => quoted(value ?? "")).join(",")).join("\n");
 }
 
@@ -134,6 +142,8 @@ function shown(plot) {
       colour: one(t.line?.color) ?? one(t.marker?.color) ?? "#444444", width: t.line?.width ?? 1, dash: t.line?.dash ?? "solid",
       shape: t.line?.shape ?? "linear", symbol: one(t.marker?.symbol) ?? "circle", size: one(t.marker?.size) ?? 4,
       fill: t.fill && t.fill !== "none" ? t.fillcolor : null, showlegend: Boolean(t.showlegend && full.showlegend),
+      marks: Array.isArray(t.marker?.symbol) ? t.marker.symbol.map((symbol, i) => [symbol, t.marker.color[i]]) : null,
+      bars: t.error_x?.array ? { array: [...t.error_x.array], arrayminus: [...t.error_x.arrayminus], color: t.error_x.color } : null,
       colorscale: t.colorscale ?? null, zmin: t.zmin ?? null, zmax: t.zmax ?? null,
       ticks: t.colorbar?.tickvals ? { tickvals: [...t.colorbar.tickvals], ticktext: [...(t.colorbar.ticktext ?? t.colorbar.tickvals)] } : null,
     };

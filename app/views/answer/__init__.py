@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import streamlit as st
 
-from app import session, text
+from app import glossary, session, text
 from app.data import answer, buffer, readers
 from app.data.answer import Answer, Contrast, Side, newest_share
 from app.data.called import task
@@ -73,6 +73,10 @@ def _behind(scope: Scope, env: str) -> None:
     exams.show_left_out(task_runs, {**of_length, "it fits no model": alone})
     exams.draw(alike)
     st.subheader("In sample: on rows that the models were fitted to", anchor=False)
+    st.caption(
+        "A model can err little here and much where its policy goes next: only the exams above are "
+        "out of sample."
+    )
     run = scope.one(lambda run: run in alike and buffer.has_rows(run), widgets.telling)
     if run is not None:
         model_error.on_one_buffer(run, alike)
@@ -160,12 +164,24 @@ def _card(
             figure.add_shape(across(level, 1.2, "dash"))
         st.caption(what)
         chart(
-            figure, f"answer {question}", f"{what}, against env steps", follow=Follow(cursor=True)
+            figure,
+            f"answer {question}",
+            f"{what}, against env steps",
+            follow=Follow(cursor=True),
+            caption=_caption(what, groups, looks),
         )
-    st.markdown(answered.sentence)
+    st.markdown(glossary.linked(answered.sentence))
     if answered.more:
-        st.caption(answered.more)
+        st.caption(glossary.linked(answered.more))
     widgets.link_to(link, f"See it on {link.capitalize()}")
+
+
+def _caption(what: str, groups: Sequence[Group], looks: Mapping[Kind, Look]) -> str:
+    named = ", ".join(f"{looks[group.kind].title} (n = {group.n})" for group in groups)
+    return (
+        f"{what.capitalize()}, against env steps. Line: mean over seeds, band: 95 % bootstrap "
+        f"interval, thin lines: single runs. {named}."
+    )
 
 
 def _side(title: str, runs: Sequence[RunReader]) -> Side:

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import streamlit as st
 
-from app import text
+from app import glossary, text
 from app.data import readers
 from app.data.cache import VersionedCache
 from app.data.called import short_names
@@ -55,7 +55,7 @@ def draw(runs: Sequence[RunReader]) -> None:
     show_left_out(runs, {NO_EXAM: without, f"ended before step {result.until:,.0f}": early})
     if not exams:
         return
-    st.markdown(verdict(result), help=WHAT)
+    st.markdown(glossary.linked(verdict(result)), help=WHAT)
     st.dataframe(table(result), hide_index=True, column_config=_columns())
     with st.container(border=True):
         st.markdown(

@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
-from app import session, text
+from app import glossary, session, text
 from app.data import readers, tables
 from app.data.called import names, task, told_apart
 from app.figures.curves import group_curves, run_curves, short_title
@@ -102,7 +102,7 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
         with grid, st.container(border=True):
             where = f"{task(env)}: " if len(envs) > 1 else ""
             title = text.markdown(where + short_title(metric))
-            st.markdown(f"**{title}**", help=text.markdown(describe(metric)))
+            st.markdown(f"**{title}**", help=glossary.linked(text.markdown(describe(metric))))
             if not any(len(curve.step) for curve in curves):
                 st.caption("None of these runs has recorded it yet.")
                 continue
@@ -282,7 +282,8 @@ def _settings(shown: Sequence[RunReader]) -> None:
     )
 
     def marked(row: pd.Series) -> list[str]:
-        return ["" if i < 2 or value == row.iloc[1] else "font-weight: 650; color: #c3521f"
+        style = "font-weight: 650; background-color: rgba(200, 68, 28, 0.2)"
+        return ["" if i < 2 or value == row.iloc[1] else style
                 for i, value in enumerate(row)]  # fmt: skip
 
     st.dataframe(table.style.apply(marked, axis=1), hide_index=True)

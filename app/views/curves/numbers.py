@@ -159,7 +159,7 @@ def _improvement(pairs: Sequence[Improvement], colours: Sequence[str], keep: str
             "where a group has one; p: by permutation of the runs, right for few; corrected: for "
             "the number of pairs (Holm), and not for other pages and steps that were looked at",
         )
-        figure = improvement(pairs, colours, 90 + 34 * len(pairs), keep)
+        figure = improvement(pairs, colours, 90 + 40 * len(pairs), keep)
         chart(figure, "improvement", "probability that a run of one group beats one of another")
 
 

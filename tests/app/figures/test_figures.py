@@ -329,8 +329,9 @@ def test_a_p_among_several_is_shown_with_its_correction() -> None:
         for first, p, corrected in (("TOM", 0.03, 0.06), ("PMAC", 0.4, 0.4))
     ]
     said = [
-        traces(improvement(shown, ["red"] * len(shown), 200, "a"))[1].text
+        [words.partition("<br>")[2] for words in figure.layout.yaxis.ticktext]
         for shown in (wins, wins[:1])
+        for figure in [improvement(shown, ["red"] * len(shown), 200, "a")]
     ]
     assert [list(words) for words in said] == [
         ["p 0.03, corrected 0.06", "p 0.4, corrected 0.4"],

@@ -105,7 +105,8 @@ def message(groups: list[Group], **changed: Any) -> dict[str, Any]:
             "mode": trace.mode, "opacity": trace.opacity or 1,
             "colour": trace.line.color or "#444444", "width": trace.line.width,
             "dash": trace.line.dash or "solid", "shape": "linear", "symbol": "circle", "size": 6,
-            "fill": trace.fillcolor, "showlegend": False, "colorscale": None, "zmin": None,
+            "fill": trace.fillcolor,
+            "bars": None, "marks": None, "showlegend": False, "colorscale": None, "zmin": None,
             "zmax": None, "ticks": None,
         }
         for trace in made
@@ -164,9 +165,25 @@ def test_a_remark_in_the_corner_is_no_line_s_label() -> None:
     assert re.sub(ids, "", noted) == re.sub(ids, "", plain)
 
 
-def test_labels_and_ticks_lie_inside_the_file() -> None:
-    long = [replace(group("tom", 90), variant="rollout.uniform_share 0.5"), group("mle", 10)]
-    file = Image.open(io.BytesIO(paper_figure(message(long), "one", "png"))).convert("L")
+def rows(shown: dict[str, Any]) -> dict[str, Any]:
+    """A figure with a named row for each result, which has a bar."""
+    first = shown["traces"][0]
+    first |= {
+        "fill": None, "x": [10, 20], "y": [0, 1], "mode": "markers",
+        "marks": [["circle", "#000000"]] * 2,
+        "bars": {"array": [1, 2], "arrayminus": [3, 4], "color": "#000000"},
+    }  # fmt: skip
+    names = ["half TOM mended, half uniform<br>p .04, corrected .2", "PMAC"]
+    shown["axes"]["xy"]["y"] |= {"range": [-0.5, 1.5], "tickvals": [0, 1], "ticktext": names}
+    return shown | {"traces": [first], "annotations": [], "shapes": []}
+
+
+LONG = [replace(group("tom", 90), variant="rollout.uniform_share 0.5"), group("mle", 10)]
+
+
+@pytest.mark.parametrize("shown", [message(LONG), rows(message(GROUPS))])
+def test_labels_and_ticks_lie_inside_the_file(shown: dict[str, Any]) -> None:
+    file = Image.open(io.BytesIO(paper_figure(shown, "one", "png"))).convert("L")
     dark = np.asarray(file) < 200
     edge = 3
     assert not dark[:, :edge].any()
@@ -193,6 +210,12 @@ def test_a_legend_a_heatmap_bars_and_a_log_axis_are_drawn() -> None:
     shown |= {"traces": [first | heat], "shapes": []}
     shown["axes"]["xy"]["y"] |= {"type": "linear", "range": [0, 2]}
     assert paper_figure(shown, "two", "png").startswith(b"\x89PNG")
+
+
+def test_bars_of_intervals_are_drawn() -> None:
+    shown = rows(message(GROUPS))
+    shown["traces"][0]["bars"]["color"] = "#12ab34"
+    assert "#12ab34" in paper_figure(shown, "one", "svg").decode()
 
 
 WRONG: list[Any] = [
