@@ -248,7 +248,7 @@ def test_a_figure_and_a_film_are_taken_home(page: "Page", tmp_path: Path) -> Non
         assert download.value.path().stat().st_size > 100
     page.keyboard.press("Escape")
     box.wait_for(state="hidden")
-    press(page.get_by_role("link", name="Replays").first)
+    page.goto(f"/replays?run={PENDULUM_TOM}")
     take(page, "Film")
     with page.expect_download() as download:
         press(page.get_by_role("button", name="One HTML file"))
