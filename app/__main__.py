@@ -12,7 +12,6 @@ from tom.cli import Parser
 from tom.cli.parser import folder
 from tom.errors import UserError
 from tom.harmless import terminal
-from tom.record.store import Store
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -75,7 +74,8 @@ def _parser() -> argparse.ArgumentParser:
 def _readable(store: Path) -> Path:
     if store.exists() and not store.is_dir():
         raise UserError(f"--store {store} is a file: name a folder")
-    Store(store).runs()
+    if store.exists() and not os.access(store, os.R_OK | os.X_OK):
+        raise UserError(f"cannot read the store {store}: name another with --store")
     return store.absolute()
 
 

@@ -1,6 +1,7 @@
 """The list of pages. A new page is one module of `app.views` with `page()`, named here."""
 
 import gc
+import html
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -102,6 +103,7 @@ def run() -> None:
     chosen = st.navigation(pages, position="top")
     st.session_state["pages"] = {page.url_path: page for page in pages}
     address.visit(chosen.url_path)
+    st.html(f'<h1 class="heard">{html.escape(chosen.title)}</h1>')  # the menu says it to the eye
     draw(chosen.run)
     task = st.session_state.get("task shown", "")
     st.set_page_config(page_title=" - ".join(filter(None, (chosen.title, task, "TOM Studio"))))

@@ -175,10 +175,6 @@ def _absent(everything: Sequence[RunReader]) -> None:
     asked = "".join(address.value_of("run", list)[-1:])
     if not asked or any(run.run_id == asked for run in everything):
         return
-    from app.data import weighings  # here: it is seldom needed, and imports much
-
-    if any(data.run_id == asked for data in weighings.datasets(session.links().store)):
-        return
     from app.data import weighings  # here: few addresses need it
 
     store = session.links().store

@@ -23,6 +23,13 @@ DEFAULT_PORT = 8600
 START_TIMEOUT_S = 60.0
 ATTEMPTS = 3
 """launches, each on newly found ports, before the studio gives up"""
+RETURNING = {
+    "MALLOC_ARENA_MAX": "2",
+    "MALLOC_MMAP_THRESHOLD_": "262144",
+    "MALLOC_TRIM_THRESHOLD_": "262144",
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
+}
+"""settings under which a server's threads return what they have freed"""
 LIFE_S = 10.0
 """a viewer that dies younger than this is not started again"""
 OPEN = (
@@ -121,7 +128,7 @@ def plan(studio: Studio, folder: Path) -> Links:
 def build(links: Links, folder: Path) -> list[Server]:
     """The three servers, Streamlit last, because its pages refer to the others."""
     python = [sys.executable, "-m"]
-    environment = {**links.environment(), "OMP_NUM_THREADS": "1"}
+    environment = {**links.environment(), "OMP_NUM_THREADS": "1", **RETURNING}
 
     def server(name: str, command: list[str], port: int, health: str, mark: str = "") -> Server:
         log = folder / f"{name}.log"

@@ -53,12 +53,12 @@ def _card(study: Study) -> None:
 
     A study without a rule for a verdict has the first sentence of its report, and its picture.
     """
-    st.subheader(text.markdown(study.question or study.name), anchor=False)
+    st.header(text.markdown(study.question or study.name), anchor=False)
     if study.question and study.name != study.verb:
         st.caption(text.markdown(study.name))
     found = verdict(study)
     if found is not None:
-        st.markdown(f"#### {SIGNS[found.word]} {found.word}")
+        st.markdown(f"### {SIGNS[found.word]} {found.word}")
         st.markdown(text.markdown(found.sentence))
         height = 110 + 22 * len(found.points)
         figure = intervals(found.points, found.axis, found.level, height, study.name)

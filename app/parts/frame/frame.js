@@ -34,9 +34,12 @@ function onKey(event) {
   if (act && !taken(event) && act() !== false) event.preventDefault();
 }
 
-// Streamlit gives frames no name; a screen reader would read their address.
+// Streamlit calls every frame "st.iframe", and its tables nothing.
 function nameFrames() {
-  for (const frame of document.querySelectorAll("iframe:not([title])")) {
+  for (const table of document.querySelectorAll("canvas[role=grid]:not([aria-label]), [data-testid=data-grid-canvas]:not([aria-label])")) {
+    table.setAttribute("aria-label", "Table");
+  }
+  for (const frame of document.querySelectorAll('iframe:not([title]), iframe[title="st.iframe"]')) {
     frame.title = /websocket=/.test(frame.src) ? "3D scene" : /url=/.test(frame.src) ? "Rerun viewer" : "Figure";
   }
 }

@@ -103,7 +103,7 @@ function section(root, { title, groups, more }) {
   const shown = groups.filter(({ folded }) => !folded).map(drawn);
   const others = groups.filter(({ folded }) => folded).map(drawn);
   const plural = others.length === 1 ? "1 more group" : `${others.length} more groups`;
-  box.append(make("h3", "title", title), ...shown);
+  box.append(make("h2", "title", title), ...shown);
   if (others.length) box.append(...folded(root, `more ${title}`, plural, others));
   if (more) box.append(make("p", "note", more));
   return box;

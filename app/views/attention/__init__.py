@@ -86,7 +86,7 @@ def _over_time(scope: Scope, row: DeltaGenerator) -> None:
     step = timeline.chosen(sorted({*fits, *evaluations}))
     fit = at_or_before(fits, step)
     called = text.markdown(names(scope.runs)[run.run_id])
-    st.subheader(f"Which data {called} pays attention to", anchor=False)
+    st.header(f"Which data {called} pays attention to", anchor=False)
     _numbers(run, profiles, fits)
     _offer_learners(run, fit)
     _even(run, profiles, fits.index(fit))

@@ -45,7 +45,7 @@ def draw(scope: Scope) -> None:
         return
     called = text.markdown(names(scope.runs)[run.run_id])
     top = st.columns([6, 3, 3], vertical_alignment="bottom")
-    top[0].subheader(f"{called}, evaluated at step {step:,}", anchor=False)
+    top[0].header(f"{called}, evaluated at step {step:,}", anchor=False)
     with top[1]:
         index = _pick_episode(returns)
     with top[2]:
