@@ -121,7 +121,8 @@ def plan(studio: Studio, folder: Path) -> Links:
 def build(links: Links, folder: Path) -> list[Server]:
     """The three servers, Streamlit last, because its pages refer to the others."""
     python = [sys.executable, "-m"]
-    environment = {**links.environment(), "OMP_NUM_THREADS": "1"}
+    # Two arenas of memory instead of one for each thread: 60 MB less once pages were drawn.
+    environment = {**links.environment(), "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "2"}
 
     def server(name: str, command: list[str], port: int, health: str, mark: str = "") -> Server:
         log = folder / f"{name}.log"
