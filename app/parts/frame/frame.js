@@ -34,9 +34,9 @@ function onKey(event) {
   if (act && !taken(event) && act() !== false) event.preventDefault();
 }
 
-// Streamlit gives frames no name; a screen reader would read their address.
+// Streamlit calls every frame `st.iframe`, and so would a screen reader.
 function nameFrames() {
-  for (const frame of document.querySelectorAll("iframe:not([title])")) {
+  for (const frame of document.querySelectorAll('iframe:not([title]), iframe[title="st.iframe"]')) {
     frame.title = /websocket=/.test(frame.src) ? "3D scene" : /url=/.test(frame.src) ? "Rerun viewer" : "Figure";
   }
 }
