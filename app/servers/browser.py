@@ -36,6 +36,8 @@ CHROMIUM_FLAGS = (
     "--no-sandbox",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    # Reading a canvas back from the software renderer takes 0.3 s a picture, from memory 0.01 s.
+    "--disable-accelerated-2d-canvas",
     "--ignore-gpu-blocklist",
     "--disable-quic",
     "--no-first-run",
