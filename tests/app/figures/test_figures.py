@@ -50,7 +50,11 @@ def profiles(store: Path) -> Profiles:
 
 def traces(figure: go.Figure) -> list[Any]:
     """Without the insides of hollow lines."""
-    return [trace for trace in figure.data if trace.name != CORE]
+    return [trace for trace in drawn(figure) if trace.name != CORE]
+
+
+def drawn(figure: go.Figure) -> list[Any]:
+    return list(figure.data)
 
 
 def notes(figure: go.Figure) -> list[str]:
@@ -70,7 +74,7 @@ def test_traces_have_names_that_are_css_classes_whatever_a_group_is_called() -> 
         group_curves([group], "x", 300, singles=True),
         run_curves(group.curves, "x", 300, legend=True),
     ]
-    ids = [trace.uid for figure in figures for trace in figure.data]
+    ids = [trace.uid for figure in figures for trace in drawn(figure)]
     assert len(ids) == 3 + len(group.curves) * 2
     assert all(re.fullmatch("[a-z0-9]+", uid) for uid in ids)
     assert len(set(ids[:-2])) == len(ids) - 2

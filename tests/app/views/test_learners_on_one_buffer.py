@@ -204,7 +204,7 @@ def test_the_buffers_map_can_show_a_weighings_weights(weighed: Path) -> None:
     app = draw("attention", run=PENDULUM_TOM, **query)
     [source] = map_of(app)["sources"]
     assert (source["label"], source["count"]) == ("TOM s1, made", ROWS)
-    assert app.dataframe[0].value["weight"].max() == pytest.approx(weight.max())
+    assert float(app.dataframe[0].value["weight"].to_numpy().max()) == pytest.approx(weight.max())
 
 
 def test_the_learner_named_nearest_is_that_of_the_least_median_footprint(weighed: Path) -> None:

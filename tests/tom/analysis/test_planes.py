@@ -44,9 +44,8 @@ def test_the_share_explained_is_that_of_a_table_grouped_by_cell(
     xy = planes.contrast(table, weight, NAMES).project(table)
     log = pd.Series(np.log2(np.maximum(weight / weight.mean(), 1 / 32)))
     side = int((len(weight) / 24) ** 0.5)
-    edges = [
-        np.linspace(*np.quantile(axis.astype(float), [0.005, 0.995]), side + 1) for axis in xy.T
-    ]
+    ends = [np.quantile(axis.astype(float), [0.005, 0.995]).tolist() for axis in xy.T]
+    edges = [np.linspace(low, high, side + 1) for low, high in ends]
     cells = [
         pd.Series(np.digitize(axis, edge[1:-1])) for axis, edge in zip(xy.T, edges, strict=True)
     ]
@@ -54,9 +53,9 @@ def test_the_share_explained_is_that_of_a_table_grouped_by_cell(
     rows = pd.DataFrame({"log": log, "x": cells[0], "y": cells[1]})
     mean = log[fitted].mean()
     of_cell = (
-        rows[fitted].groupby(["x", "y"])["log"].agg(lambda of: (of.sum() + mean) / (len(of) + 1))
+        rows[fitted].groupby(["x", "y"])[["log"]].agg(lambda of: (of.sum() + mean) / (len(of) + 1))
     )
-    predicted = rows[~fitted].join(of_cell.rename("mean"), on=["x", "y"])["mean"].fillna(mean)
+    predicted = rows[~fitted].join(of_cell, on=["x", "y"], rsuffix=" mean")["log mean"].fillna(mean)
     error = ((rows["log"][~fitted] - predicted) ** 2).mean()
     share = 1 - error / ((rows["log"][~fitted] - mean) ** 2).mean()
     assert planes.explained(xy, weight) == pytest.approx(share, abs=1e-3)
