@@ -248,7 +248,10 @@ def group_curves(
         words.append(f"thinned to {GRID} points a line")
     if singles and any(len(c.step) > POINTS for g in groups if g.n > 1 for c in g.curves):
         words.append(f"single runs thinned to {POINTS} points each")
-    named = {_identity(one): [styles[one.kind].title, one.kind.preset] for one in groups}
+    named = {
+        _identity(one): [text.plotly(styles[one.kind].title), text.plotly(one.kind.preset)]
+        for one in groups
+    }
     # One label for all lines at a step, the highest first.
     figure.update_layout(
         hovermode="x unified", hoversort="value descending",

@@ -192,6 +192,7 @@ def a_figure(**more: object) -> bytes:
         "axes": "xy", "type": "scatter", "name": "TOM", "x": [0, 2], "y": [0, 1], "z": None,
         "mode": "lines", "opacity": 1, "colour": "#c3521f", "width": 2, "dash": "solid",
         "shape": "linear", "symbol": "circle", "size": 4, "fill": None, "showlegend": True,
+        "bars": None, "marks": None,
         "colorscale": None, "zmin": None, "zmax": None, "ticks": None,
     }  # fmt: skip
     shown = {"traces": [line], "axes": {"xy": {"x": axis, "y": axis}}, "annotations": [],

@@ -78,7 +78,7 @@ def test_the_page_shows_a_studys_figures_and_numbers(reports: Path, store: Path)
 def test_a_card_says_its_question_and_finding_and_opens_the_study(reports: Path) -> None:
     app = draw("findings")
     asked = {studies.QUESTIONS[name] for name in ("road", "focus")}
-    assert {card.value for card in app.subheader} == asked
+    assert {card.value for card in app.header} == asked
     assert "**found**" in [words.value for words in app.markdown]
     assert len(app.image) == 2
     app.button(key="open focus").click().run()
