@@ -151,7 +151,7 @@ def test_statistics_compare_no_recording_of_sac() -> None:
 def test_its_buffer_can_be_looked_at(run: RunReader) -> None:
     app = draw("attention", run=run.run_id, part="In the buffer")
     weight = run.snapshot(run.snapshot_steps()[-1])["weight"]
-    assert map_of(app)["sources"][0]["count"] == len(weight)
+    assert map_of(app)["sources"][-1]["count"] == len(weight)
     heaviest = app.dataframe[0].value["weight"].to_numpy().max()
     assert float(heaviest) == pytest.approx(weight.max(), rel=1e-3)
 
