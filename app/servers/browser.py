@@ -209,5 +209,6 @@ def compact(picture: bytes) -> bytes:
     """The same picture in 256 colours: a third of the bytes, without visible difference."""
     image = Image.open(io.BytesIO(picture)).convert("RGB")
     small = io.BytesIO()
-    image.quantize(256, Image.Quantize.MAXCOVERAGE).save(small, "PNG", optimize=True)
+    # The rare colours of thin lines are kept, and the means of the common ones are exact.
+    image.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1).save(small, "PNG", optimize=True)
     return small.getvalue()
