@@ -24,11 +24,11 @@ QUESTIONS = {
     "road": "Does TOM drive where offline MBPO does not, because the road counts more?",
     "progression": "Do the weights follow the policy along an ordered buffer?",
     "focus": "Is the model better where the policy goes, and at what price elsewhere?",
-    "footprint": "How near does each way of weighing bring a buffer to what the policy does?",
-    "capacity": "For which models does weighting pay: small ones, or large ones too?",
-    "improvement": "Does the policy gain by weights, in the model or in the rollouts' starts?",
-    "online": "Which parts of the buffer count at which step of a training?",
-    "returns": "Who learns fastest, and who ends highest?",
+    "footprint": "Do TOM's weights bring a buffer nearer to what its policy does?",
+    "capacity": "Do TOM's weights make a model better where the policy goes, whatever its size?",
+    "improvement": "Does the policy return more with weights in the model or in the starts?",
+    "online": "Do the weights move through the buffer while a training goes on?",
+    "returns": "Do trainings with TOM's weights return more than MLE's?",
     "tabular": "Are the estimated weights the exact ones of small MDPs?",
 }
 """the question of every study of `tom reproduce`, in the order of listing"""

@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from studio_browser import studio_and_browser
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
 from test_browser import DRAWN_S, drawn, lines, wait_until_drawn
 from test_browser_visitor import until
 
-from app.data import trainings
 from app.data.answer import newest_share
 from app.links import Links
 from app.theme import learner_label
@@ -45,30 +43,14 @@ SEEN = """() => {
 """whether a ring tells where the focus is, or the mark of a text"""
 
 
-@pytest.fixture(scope="module")
-def own_store(tmp_path_factory: pytest.TempPathFactory, store: Path) -> Path:
-    path = tmp_path_factory.mktemp("keyboard") / "store"
-    shutil.copytree(store, path)
-    return path
-
-
-@pytest.fixture(scope="module")
-def opened(own_store: Path) -> Iterator[tuple[Links, "Browser"]]:
-    with studio_and_browser(own_store) as opened:
-        yield opened
-
-
 @pytest.fixture
-def page(opened: tuple[Links, "Browser"], own_store: Path) -> Iterator["Page"]:
+def page(opened: tuple[Links, "Browser"], no_training_left: None) -> Iterator["Page"]:
     links, browser = opened
     page = browser.new_page(viewport={"width": 1280, "height": 1000}, base_url=links.address)
     page.set_default_timeout(1000 * DRAWN_S)
     page.goto(links.opened())
     yield page
     page.close()
-    for run in Store(own_store).runs():
-        if run.status.alive:
-            trainings.stop(Store(own_store), run.run_id)
 
 
 def reach(element: "Locator") -> None:

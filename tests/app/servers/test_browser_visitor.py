@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from PIL import Image
-from studio_browser import studio_and_browser
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
 from test_browser import DRAWN_S, Visit, drawn, wait_until_drawn
 
-from app.data import trainings
 from app.links import Links
 from tom.record import manage
 from tom.record.store import Store
@@ -28,20 +26,6 @@ pytestmark = [
 ]
 
 
-@pytest.fixture(scope="module")
-def own_store(tmp_path_factory: pytest.TempPathFactory, store: Path) -> Path:
-    """A copy of the recorded runs that the visitors may change."""
-    path = tmp_path_factory.mktemp("visitor") / "store"
-    shutil.copytree(store, path)
-    return path
-
-
-@pytest.fixture(scope="module")
-def opened(own_store: Path) -> Iterator[tuple[Links, "Browser"]]:
-    with studio_and_browser(own_store) as opened:
-        yield opened
-
-
 @pytest.fixture
 def visitor(opened: tuple[Links, "Browser"]) -> Iterator[Visit]:
     """A tab of their own."""
@@ -50,14 +34,6 @@ def visitor(opened: tuple[Links, "Browser"]) -> Iterator[Visit]:
     page.set_default_timeout(1000 * DRAWN_S)
     yield Visit(page, links)
     page.close()
-
-
-@pytest.fixture
-def no_training_left(own_store: Path) -> Iterator[None]:
-    yield
-    for run in Store(own_store).runs():
-        if run.status.alive:
-            trainings.stop(Store(own_store), run.run_id)
 
 
 def choose(page: "Page", label: str, option: str) -> None:
