@@ -137,16 +137,14 @@ def draw() -> Scope:
             st.info("No run passes these filters.", icon=":material/filter_alt_off:")
         _list(scope)
         frame.draw(everything)
-        alive = [run for run in everything if run.status.alive]
-        again.when_changed(lambda: store_state(store, alive), LOOK_S)
+        again.when_changed(lambda: store_state(store), LOOK_S)
     return scope
 
 
-def store_state(store: str, alive: Sequence[RunReader]) -> object:
-    """What changes when a run begins, and when one of these has fitted, was evaluated or ended."""
-    named = {run.run_id for run in alive}
-    runs = [run for run in readers.listing(store).runs if run.run_id in named] if alive else []
-    now = [(run.run_id, run.shown, run.version("profiles"), run.evaluation_steps()) for run in runs]
+def store_state(store: str) -> object:
+    """What changes when a run begins, goes on, has fitted, was evaluated or has ended."""
+    alive = [run for run in readers.listing(store).runs if run.status.alive]
+    now = [(run.run_id, run.version("profiles"), run.evaluation_steps()) for run in alive]
     return modified(Path(store)), now
 
 

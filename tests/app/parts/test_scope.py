@@ -178,14 +178,15 @@ def test_the_end_of_a_training_is_told_once(own: Path) -> None:
     assert not app.run().toast
 
 
-def test_every_page_is_drawn_again_when_a_run_that_trains_has_fitted(store: Path, tmp_path: Path):
+def test_every_page_is_drawn_again_when_a_run_goes_on_and_has_fitted(store: Path, tmp_path: Path):
     run = shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
+    ended = scope.store_state(str(tmp_path))
     trains_elsewhere(run)
-    alive = readers.listing(str(tmp_path)).runs
-    before = scope.store_state(str(tmp_path), alive)
-    assert scope.store_state(str(tmp_path), alive) == before
+    before = scope.store_state(str(tmp_path))
+    assert before != ended
+    assert scope.store_state(str(tmp_path)) == before
     path = run / layout.PROFILES
     last = json.loads(path.read_text().splitlines()[-1])
     with path.open("a") as file:
         file.write(json.dumps(last | {"env_step": last["env_step"] + 1}) + "\n")
-    assert scope.store_state(str(tmp_path), alive) != before
+    assert scope.store_state(str(tmp_path)) != before
