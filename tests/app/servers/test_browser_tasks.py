@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
 from test_browser import DRAWN_S, drawn, lines, wait_until_drawn
-from test_browser_visitor import until
+from test_browser_visitor import status, until
 
 from app.data.answer import newest_share
 from app.links import Links
@@ -109,8 +109,8 @@ def test_a_training_is_started_watched_and_stopped(page: "Page", own_store: Path
     until(page, lambda: run.evaluation_steps(), "the training was never evaluated")
     press(stop)
     press(page.get_by_role("button", name="Stop this training"))
-    stop.wait_for(state="detached")
-    assert run.status.shown == "stopped"
+    stop.wait_for(state="detached")  # at once: the training ends after its step
+    until(page, lambda: status(own_store, run.run_id).shown == "stopped", "it did not stop")
 
 
 def test_a_comparison_is_made_and_shared(page: "Page") -> None:

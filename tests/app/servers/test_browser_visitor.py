@@ -15,6 +15,7 @@ from test_browser import DRAWN_S, Visit, drawn, wait_until_drawn
 
 from app.links import Links
 from tom.record import manage
+from tom.record.status import Status
 from tom.record.store import Store
 
 if TYPE_CHECKING:
@@ -65,6 +66,11 @@ def until(page: "Page", holds, what: str) -> None:
         page.wait_for_timeout(200)
 
 
+def status(store: Path, run_id: str) -> Status:
+    """The status as it is now; a reader keeps the one that it read first."""
+    return Store(store).run(run_id).status
+
+
 def picture(element: "Locator") -> np.ndarray:
     """The pixels of an element: (height, width, 3)."""
     return np.asarray(Image.open(io.BytesIO(element.screenshot())).convert("RGB"))
@@ -92,8 +98,9 @@ def test_starts_a_training_watches_it_and_stops_it(visitor: Visit, own_store: Pa
     stop.click()
     page.locator("code", has_text=f"tom train --resume {run.run_id}").wait_for()
     page.get_by_role("button", name="Stop this training").click()
-    until(page, lambda: run.status.shown == "stopped", "the training did not stop")
-    stop.wait_for(state="detached")
+    stop.wait_for(state="detached")  # at once: the training ends after its step
+    until(page, lambda: status(own_store, run.run_id).shown == "stopped", "it did not stop")
+    run = Store(own_store).run(run.run_id)
     assert 0 < run.status.env_step < 50_000
     assert (run.path / "checkpoint").is_dir()
 
