@@ -88,7 +88,8 @@ def _stop(run: RunReader) -> None:
     if run.run_id in _asked():
         st.caption("stopping", help="it ends after its step and writes a checkpoint")
         return
-    with st.popover("Stop", key=f"stop {run.run_id}", width="stretch"):
+    # on_change: it stays open when the page is drawn again
+    with st.popover("Stop", key=f"stop {run.run_id}", width="stretch", on_change="rerun"):
         st.write("The training ends after this step and writes a checkpoint. To go on with it:")
         st.code(resume(run, session.links().store), language="bash")
         if st.button("Stop this training", key=f"stop {run.run_id} now", type="primary"):
