@@ -65,7 +65,7 @@ def card(run: RunReader, preset: str = "") -> None:
         if words:
             st.caption(text.markdown(words))
     if log := start.log_of(run):
-        with st.expander("Last lines of its output"):
+        with st.expander("Last lines of its output", key=f"log {run.run_id}", on_change="rerun"):
             st.code(log, language=None)
 
 
