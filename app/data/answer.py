@@ -212,9 +212,10 @@ def helps(one: Side, other: Side) -> Answer:
     )
     if p >= SIGNIFICANT:
         return Answer("unclear", "Not clearly", sentence)
-    return Answer("yes", "Yes, it returns more", sentence) if beats.value > 0.5 else Answer(
-        "no", "No, it returns less", sentence
-    )  # fmt: skip
+    more = "The p is of this score at this step alone; Curves, Statistics, has the others."
+    if beats.value > 0.5:
+        return Answer("yes", "Yes, it returns more", sentence, more)
+    return Answer("no", "No, it returns less", sentence, more)
 
 
 def _error(one: Side, other: Side) -> str:
