@@ -1,6 +1,7 @@
 """Colours: one for each learner everywhere, readable on light and dark and by the colour-blind."""
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -28,6 +29,9 @@ BACKGROUND: dict[Mode, str] = {"light": "#ffffff", "dark": "#12151c"}
 SURFACE: dict[Mode, str] = {"light": "#f4f6fa", "dark": "#1b202b"}
 TEXT: dict[Mode, str] = {"light": "#1c2330", "dark": "#e8ecf4"}
 BORDER: dict[Mode, str] = {"light": "#dde2ec", "dark": "#2c3342"}
+
+LINES = 3.05
+"""the least contrast of a line with either background: 3:1, with room for rounding"""
 
 # Buttons and sliders: no learner's colour, so that colour always means data.
 ACCENT: dict[Mode, str] = {"light": "#4a5a8a", "dark": "#6379bd"}
@@ -142,6 +146,27 @@ def mixed(colour: str, other: str, share: float) -> str:
     """`#rrggbb` with a `share` of another colour in it."""
     parts = ([int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in (colour, other))
     return "#" + "".join(f"{round(a + share * (b - a)):02x}" for a, b in zip(*parts, strict=True))
+
+
+@cache
+def shades(colour: str) -> list[str]:
+    """The shades of a colour, from dark to pale, that a line may have on both backgrounds."""
+    steps = np.linspace(0, 1, 51)
+    dark = [mixed("#000000", colour, share) for share in steps]
+    pale = [mixed(colour, "#ffffff", share) for share in steps[1:]]
+    return [
+        shade
+        for shade in (*dark, *pale)
+        if min(contrast(shade, background) for background in BACKGROUND.values()) >= LINES
+    ]
+
+
+def contrast(first: str, second: str) -> float:
+    """The contrast of two colours, from 1 to 21 (WCAG 2)."""
+    share = np.array([rgb(first), rgb(second)]) / 255
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    low, high = np.sort(linear @ (0.2126, 0.7152, 0.0722))
+    return float((high + 0.05) / (low + 0.05))
 
 
 def faded(colour: str, alpha: float) -> str:

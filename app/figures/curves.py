@@ -34,6 +34,7 @@ from app.theme import (
     learner_symbol,
     mixed,
     ramp,
+    shades,
 )
 from tom.analysis.curves import GRID, Curve, Group, smoothed
 from tom.analysis.settings import USUAL, Kind, natural, number
@@ -124,8 +125,8 @@ def _look(kind: Kind, title: str, main: str) -> Look:
     """
     colour = learner_colour(kind.learner)
     if kind.variant:
-        level = int(blake2b(kind.variant.encode(), digest_size=1).hexdigest(), 16) / 255
-        colour = mixed(mixed(colour, NEUTRAL, 0.5), "#000000", 0.4 * level)
+        grey = shades(mixed(colour, NEUTRAL, 0.5))
+        colour = grey[blake2b(kind.variant.encode(), digest_size=1).digest()[0] * len(grey) // 256]
     core = "" if kind.preset in ("", main, "smoke") else mixed(colour, "#ffffff", 0.6)
     return Look(title, colour, "solid", learner_symbol(kind.learner), core)
 
