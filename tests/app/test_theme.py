@@ -91,7 +91,8 @@ def test_learners_groups_and_points_stand_out_from_the_page(mode: Mode) -> None:
     variants = [Kind(learner, "", f"model.hidden {n}") for learner in LEARNERS for n in range(40)]
     shades = [look.colour for look in looks_of(("hopper", kind) for kind in variants).values()]
     for colours, least in (
-        (LEARNER_COLOURS.values(), 3.0), (shades, 3.0), (QUALITATIVE, 3.0), (points, 3.0), (ramp(7, mode), 2.8),
+        (LEARNER_COLOURS.values(), 3.0), (QUALITATIVE, 3.0), (points, 3.0), (ramp(7, mode), 2.8),
+        (shades, 3.0),
     ):  # fmt: skip
         assert min(contrast(colour, BACKGROUND[mode]) for colour in colours) >= least
 
