@@ -49,7 +49,7 @@ def document(title: str, script: str, told: dict[str, Any], mode: Mode) -> str:
     """One self-contained HTML page: the canvas, its controls, the scripts and their data."""
     # Escape characters that would end a script element or begin a comment in it.
     data = json.dumps(told, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    scripts = "\n".join(_asset(name) for name in ("canvas.js", script))
+    scripts = "\n".join(_asset(name) for name in ("canvas.js", "mp4.js", script))
     return (
         f'<!doctype html><html lang="en" data-mode="{mode}"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{_NOTHING}">'
@@ -58,7 +58,8 @@ def document(title: str, script: str, told: dict[str, Any], mode: Mode) -> str:
         f'<canvas width="{WIDTH}" height="{HEIGHT}" role="img" '
         f'aria-label="{html.escape(title)}"></canvas>'
         '<div class="controls"><button type="button" aria-label="play or pause">▶</button>'
-        '<input type="range" min="0" max="1" step="any" value="0" aria-label="time"></div>'
+        '<input type="range" min="0" max="1" step="any" value="0" aria-label="time">'
+        '<button type="button" class="save" hidden title="save the film as MP4">MP4</button></div>'
         f"<script>const TOLD = {data};\n{scripts}</script></body></html>"
     )
 

@@ -140,4 +140,5 @@ function play(draw, seconds, { loops = false, begins = true } = {}) {
   show();
   if (begins) set(true);
   window.film = { seconds, draw, stop: () => set(false), size: [canvas.width, canvas.height] };
+  offer(window.film);
 }

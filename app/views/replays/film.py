@@ -50,10 +50,13 @@ def draw(scope: Scope) -> None:
         "that they lie in, at every fit. In front: an evaluation of the newest policy kept by "
         "then, at half speed. Space plays and stops, arrows go a second."
     )
-    with st.expander("As MP4", icon=":material/movie:"):
+    with st.expander("From a terminal", icon=":material/terminal:"):
         words = ["tom", "studio", "--cinema", "film", "--run", run.run_id, "--store", store]
         st.code(shlex.join([*words, "--theme", session.mode()]), language="bash")
-        st.caption("Writes cinema.html, cinema.mp4 and a small cinema.webp; needs Chromium.")
+        st.caption(
+            "Writes cinema.html, cinema.mp4 and a small cinema.webp; needs Chromium. The film's "
+            "own button saves the MP4 where the browser can encode: on this machine, or by https."
+        )
     empty.left_out(run, "other evaluations")
 
 

@@ -14,7 +14,7 @@ from app.data import readers
 from app.links import Links
 from app.scenes.film import cinema, ghosts
 from app.scenes.film.story import body, may_be_told, story
-from app.servers.cinema import Sample, mp4, opened, video
+from app.servers.cinema import opened, video
 from tom.envs import task
 from tom.envs.scene import model
 from tom.errors import UserError
@@ -77,26 +77,6 @@ def test_ghosts_stand_beside_the_episode() -> None:
     assert "region x 0" in page
 
 
-def test_an_mp4_says_where_its_pictures_lie() -> None:
-    samples = [Sample(b"one", True), Sample(b"second", False), Sample(b"3", True)]
-    made = mp4(samples, b"\x01avcC", (320, 180), 30)
-    at = made.index(b"stco")
-    offset = int.from_bytes(made[at + 12 : at + 16], "big")
-    assert made[offset:] == b"onesecond3"
-    assert made[4:8] == b"ftyp"
-    at = made.index(b"stsz")
-    assert [int.from_bytes(made[at + 16 + 4 * i : at + 20 + 4 * i], "big") for i in range(3)] == [
-        3,
-        6,
-        1,
-    ]
-    at = made.index(b"stss")
-    assert [int.from_bytes(made[at + 12 + 4 * i : at + 16 + 4 * i], "big") for i in range(2)] == [
-        1,
-        3,
-    ]
-
-
 @pytest.mark.usefixtures("studio")
 def test_the_page_offers_the_film() -> None:
     app = draw("replays", run=PENDULUM_TOM, part="Film", length="30 s")
@@ -130,11 +110,13 @@ def test_the_film_plays_without_a_server_and_becomes_an_mp4(store: Path) -> None
         tried = RunReader(store / PENDULUM_TOM).evaluation_steps()[-1]
         assert tried > story(run)["steps"][-1]
         assert tab.evaluate("playedNow(LAST).step") == tried
-        made = base64.b64encode(video(tab, 20.0, 0.5)).decode()
+        shares: list[float] = []
+        made = base64.b64encode(video(tab, 1.5, lambda share: shares.append(share))).decode()
         assert not asked
+        assert shares == [pytest.approx(2 / 3), 1.0]
         tab.goto("about:blank")
         seen = tab.evaluate(LOADED, made)
-    assert seen["duration"] == pytest.approx(0.5, abs=0.01)
+    assert seen["duration"] == pytest.approx(1.5, abs=0.01)
     assert (seen["width"], seen["height"]) == (1280, 720)
 
 

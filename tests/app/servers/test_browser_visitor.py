@@ -178,7 +178,11 @@ def test_takes_a_cinema_home(
     visitor: Visit, opened: tuple[Links, "Browser"], tmp_path: Path
 ) -> None:
     page = visitor.page
-    page.goto(visitor.links.opened(f"cinema?run={PENDULUM_TOM}"))
+    page.goto(visitor.links.opened(f"cinema?run={PENDULUM_TOM}&length=15+s"))
+    with page.expect_download() as download:
+        page.frame_locator("iframe").last.get_by_role("button", name="MP4").click()
+    assert download.value.suggested_filename.endswith(".mp4")
+    assert download.value.path().read_bytes()[4:8] == b"ftyp"
     with page.expect_download() as download:
         page.get_by_role("button", name="One HTML file").click()
     film = tmp_path / "film.html"
@@ -190,7 +194,7 @@ def test_takes_a_cinema_home(
     home.goto(film.as_uri())
     first = picture(home.locator("canvas"))
     assert (first != first[0, 0]).any(axis=-1).mean() > 0.02  # more than a background
-    home.locator("button").click()
+    home.get_by_role("button", name="play or pause").click()
     until(home, lambda: (picture(home.locator("canvas")) != first).any(), "the film stands still")
     assert outside == []
     context.close()
