@@ -9,6 +9,7 @@ PATH = "glossary"
 WORDS = {
     "effective sample": "ess", "footprint": "footprint", "exams": "exam", "exam": "exam",
     "snapshot": "snapshot", "as printed": "as printed", "replay buffer": "replay buffer",
+    "ghost": "ghost", "corrected": "corrected", "moments": "moment",
 }  # fmt: skip
 """words that a page links, and their terms in the glossary; common ones, such as `run`, are not"""
 _ENTRY = re.compile(r"- \*\*(.+?)\*\*: ((?:.|\n(?!- ))+)")

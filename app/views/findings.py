@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import streamlit as st
 
-from app import session, text
+from app import glossary, session, text
 from app.data import studies, trainings
 from app.data.studies import QUESTIONS, Study
 from app.data.trainings import Started
@@ -59,14 +59,14 @@ def _card(study: Study) -> None:
     found = verdict(study)
     if found is not None:
         st.markdown(f"### {SIGNS[found.word]} {found.word}")
-        st.markdown(text.markdown(found.sentence))
+        st.markdown(glossary.linked(text.markdown(found.sentence)))
         height = 110 + 22 * len(found.points)
         figure = intervals(found.points, found.axis, found.level, height, study.name)
         caption = f"{study.question} {found.sentence} Bars: 95 % intervals."
         chart(
             figure, f"verdict {study.name}", f"{study.question}: {found.axis}", caption=caption
         )  # fmt: skip
-        st.markdown(f"**Against it.** {text.markdown(found.against)}")
+        st.markdown(f"**Against it.** {glossary.linked(text.markdown(found.against))}")
     else:
         if study.findings:
             st.markdown(f"**{text.markdown(study.findings[0])}**")

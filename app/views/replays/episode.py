@@ -3,7 +3,7 @@
 import numpy as np
 import streamlit as st
 
-from app import text
+from app import glossary, text
 from app.data import readers, replays
 from app.data.called import names
 from app.data.replays import DEFAULT_HORIZON, HORIZONS, Replay
@@ -162,7 +162,7 @@ def _numbers(replay: Replay) -> None:
         help="sum of the rewards that the model predicts along the ghost's path",
     )
     if replay.model_step is None:
-        st.caption(f"No ghost: {text.markdown(replay.no_ghost)}.")
+        st.caption(glossary.linked(f"No ghost: {text.markdown(replay.no_ghost)}."))
     else:
         at, own = f"{replay.model_step:,}", replay.model_step == replay.step
         if replay.ghost is None and replay.drawn:
@@ -181,7 +181,7 @@ def _numbers(replay: Replay) -> None:
             if replay.road or not replay.drawn
             else " Its place on the ground is integrated from its velocity."
         )
-        st.caption(f"The ghost plays the recorded actions in {whose}.{place}")
+        st.caption(glossary.linked(f"The ghost plays the recorded actions in {whose}.{place}"))
 
 
 def _pick_episode(returns: np.ndarray) -> int:
