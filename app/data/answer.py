@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from app.data import buffer
@@ -28,6 +29,7 @@ SIGNIFICANT = 0.05
 """the p below which two groups are said to differ"""
 STANDS_OUT = 0.1
 """the least share of the log weights that a plane explains if a part of the buffer stands out"""
+ROAD_METRICS = ("weights/road_share", "weights/road_ratio")
 NEWEST = 0.2
 """the share of the weight on the newest fifth if every transition counts the same"""
 
@@ -129,6 +131,32 @@ def where(side: Side) -> Answer:
     return Answer("unclear", "At no age more than at others", sentence)
 
 
+def on_road(name: str, frames: Sequence[pd.DataFrame]) -> Answer:
+    """Where the runs' weights lie on road-and-rocks, whose rows have no age; by their metrics."""
+    wanted = (frame.reindex(columns=list(ROAD_METRICS)) for frame in frames)
+    of_runs = (frame.dropna(subset=ROAD_METRICS[0])[-1:].to_numpy(np.float64) for frame in wanted)
+    found = np.concatenate([np.empty((0, 2)), *of_runs])  # (runs, 2)
+    if not len(found):
+        return Answer("unknown", "Cannot be told yet", f"{name} has not fitted a model yet.")
+    share = scores.interval(found[:, 0])
+    ratio = np.nan_to_num(found[:, 1], nan=np.inf)  # NaN: no weight on the rocks
+    times = float(np.median(ratio))
+    counts = (
+        f"counts **{short(times)}** times as much as"
+        if np.isfinite(times)
+        else "has all the weight beside"
+    )
+    sentence = (
+        f"{name} puts **{percent(share.value, 0)}** of its weight on the road{_spread(share)}; a "
+        f"random transition there counts {counts} one on the rocks (median, {_count(len(found))})."
+    )
+    if (ratio > 1).all():
+        return Answer("yes", "At the road", sentence)
+    if (ratio < 1).all():
+        return Answer("no", "At the rocks", sentence)
+    return Answer("unclear", "At neither road nor rocks", sentence)
+
+
 def _stands_out(seen: Contrast) -> str:
     """Which part of the buffer has the weight, in names of dimensions."""
     fit = f"seed {seen.seed}, step {seen.env_step:,}"
@@ -164,7 +192,7 @@ def on_policy(side: Side) -> Answer:
     left = percent(footprint.value, 0)
     sentence = (
         f"Weighted by {side.name}, the buffer lies at **{left}** of its distance to what the "
-        f"policy does next{_spread(footprint)} ({_count(len(measured))}); 100 % is no nearer than "
+        f"policy does next{_spread(footprint, len(measured))}; 100 % is no nearer than "
         "without weights, 0 % is the policy itself."
     )
     if len(measured) == 1:
@@ -241,10 +269,13 @@ def _median_footprint(exams: Exams, since: float) -> float:
     return float(np.median(exams.footprint[here])) if here.any() else float("nan")
 
 
-def _spread(interval: Interval) -> str:
-    if not np.isfinite(interval.low):
-        return ""
-    return f" (95 % interval {percent(interval.low, 0)} to {percent(interval.high, 0)})"
+def _spread(interval: Interval, n: int = 0) -> str:
+    """The interval, and the number of runs unless it is said elsewhere, in brackets."""
+    parts = [_count(n)] if n else []
+    if np.isfinite(interval.low):
+        ends = percent(interval.low, 0), percent(interval.high, 0)
+        parts.insert(0, f"95 % interval {' to '.join(ends)}")
+    return f" ({', '.join(parts)})" if parts else ""
 
 
 def _count(n: int) -> str:

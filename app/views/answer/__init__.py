@@ -113,6 +113,9 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
     one = sides[0]
     answers = [answer.where(one), answer.on_policy(one)]
     if env == ROAD:
+        if not one.uniform:
+            frames = [readers.metrics(run) for run in next(iter(fresh.values()))]
+            answers[0] = answer.on_road(one.name, frames)
         answers[1] = Answer(
             "unknown", "Not asked here",
             "Road-and-rocks learns from a fixed data set: nothing is collected after a fit. "
@@ -126,7 +129,7 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
     )  # fmt: skip
     charts = (
         (
-            _share_curves(scope, fresh),
+            _share_curves(scope, fresh) if env != ROAD else [],
             "share of the weight on the newest fifth, %",
             20.0,
             "attention",

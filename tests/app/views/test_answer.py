@@ -6,6 +6,7 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from studio_pages import draw, set_links
 
@@ -159,6 +160,15 @@ def test_five_seeds_that_all_win_help_and_four_cannot_tell():
 @pytest.mark.parametrize(("newest", "word"), [(0.6, "yes"), (0.05, "no"), (0.2, "unclear")])
 def test_where_it_looks(newest: float, word: str):
     assert answer.where(side([1.0, 2.0], newest)).word == word
+
+
+@pytest.mark.parametrize(("ratio", "word"), [(88.0, "yes"), (np.nan, "yes"), (0.5, "no")])
+def test_road_and_rocks_has_a_road_and_no_age(ratio: float, word: str):
+    frame = pd.DataFrame({"weights/road_share": [0.99, np.nan], "weights/road_ratio": [ratio, 1]})
+    found = answer.on_road("ours", [frame, frame])
+    assert found.word == word
+    assert "99 %" in found.sentence
+    assert ("88" in found.sentence) == (ratio == 88)
 
 
 def test_a_learner_that_weighs_alike_looks_nowhere_and_has_no_footprint():
