@@ -140,10 +140,10 @@ def json_line(row: Mapping[str, Any]) -> bytes:
     return (json.dumps(plain(row), allow_nan=False, separators=(",", ":")) + "\n").encode()
 
 
-def begins_with(path: Path, size: int, sha256: str | None) -> bool:
-    """Whether the file begins with `size` bytes of that digest (None: whatever they are)."""
+def begins_with(path: Path, size: int, sha256: str) -> bool:
+    """Whether the file begins with `size` bytes of that digest."""
     content = path.read_bytes()[:size] if path.is_file() else b""
-    return len(content) == size and sha256 in (None, hashlib.sha256(content).hexdigest())
+    return len(content) == size and sha256 == hashlib.sha256(content).hexdigest()
 
 
 def sync(path: Path) -> None:

@@ -125,8 +125,7 @@ def unlike(path: Path, held: checkpoint.Checkpoint) -> list[str]:
         return [f"{name} {altered[name]}" for name in layout.LINES if name in altered]
     try:
         files = held.state["record"]["files"]
-        sha256 = files.get("sha256", [None] * len(layout.LINES))  # missing in earlier ones
-        marks = [*zip(layout.LINES, files["lines"], sha256, strict=True)]
+        marks = [*zip(layout.LINES, files["lines"], files["sha256"], strict=True)]
     except (LookupError, TypeError, ValueError):  # another version's, which a resume refuses
         return []
     return [

@@ -24,6 +24,7 @@ from tom.events import (
 )
 from tom.machine.memory import out_of_memory, ran_out
 from tom.record import checkpoint, decode, layout
+from tom.record.lock import LostError
 from tom.record.reader import RunReader
 from tom.record.rerun.sink import RerunSink
 from tom.record.status import Heartbeat, Status
@@ -81,7 +82,10 @@ class Recorder:
         self._heartbeat = Heartbeat(writer.status, status, clock, timer)
         if mark:
             try:
-                self._rewind(mark)
+                writer.rewind(mark["files"], step)
+                for notice in RunReader(writer.path).notices():  # their warnings count again
+                    at, code, message = map(notice.get, ("env_step", "code", "message"))
+                    self._heartbeat.warn(str(code), f"step {at}: {message}")
             except BaseException as error:
                 self.__exit__(type(error), error, error.__traceback__)
                 raise
@@ -90,7 +94,6 @@ class Recorder:
 
     def mark(self) -> dict[str, Any]:
         """The position of the synced record; part of a checkpoint, taken right after a `Tick`."""
-        self._writer.sync()
         status = self._heartbeat.status
         return {
             "env_step": status.env_step,
@@ -102,9 +105,26 @@ class Recorder:
             "files": self._writer.mark(),
         }
 
-    def checkpoint_took(self, seconds: float) -> None:
-        """Add a checkpoint's duration to `time/checkpoint_s`."""
-        self._checkpoint_s += seconds
+    def save(self, state: Mapping[str, Any]) -> None:
+        """Write a checkpoint of the training's `state`, right after a `Tick`.
+
+        If it does not fit the disk, the last one stays and a notice says so. Raises LostError if
+        another writer has taken the run over.
+        """
+        begun, folder = time.perf_counter(), self._writer.path / checkpoint.FOLDER
+        step = self._heartbeat.status.env_step
+        config = self._config.model_dump(mode="json")
+        try:
+            content = {**state, "record": self.mark(), "config": config}
+            checkpoint.save(folder, step, content, self._writer.check)
+        except LostError:
+            raise
+        except OSError as error:
+            before = checkpoint.newest(folder)
+            stays = "there is none yet" if before is None else f"that of step {before} stays"
+            message = f"no checkpoint could be written ({error}): {stays}; free some space"
+            self.consume(Notice(step, "checkpoint", message))
+        self._checkpoint_s += time.perf_counter() - begun
 
     def consume(self, event: Event) -> None:
         """Record one event."""
@@ -178,13 +198,6 @@ class Recorder:
             self.finish("stopped", "interrupted")
         else:
             self.finish("failed", self._why(error))
-
-    def _rewind(self, mark: Mapping[str, Any]) -> None:
-        """Go back to `mark`; the warnings of notices before it count again."""
-        self._writer.rewind(mark["files"], mark["env_step"])
-        for notice in RunReader(self._writer.path).notices():
-            step, code, message = (notice.get(name) for name in ("env_step", "code", "message"))
-            self._heartbeat.warn(str(code), f"step {step}: {message}")
 
     def _why(self, error: BaseException) -> str:
         """The cause of the run's end, the step, and the fix."""

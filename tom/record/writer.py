@@ -15,7 +15,6 @@ from tom import plugins
 from tom.config import RunConfig
 from tom.data.sampling import bin_means, ess, zero_share
 from tom.data.transitions import Transitions
-from tom.data.unpack import read_arrays
 from tom.errors import DISK_FULL, TryLaterError, UserError
 from tom.events import Weights
 from tom.record import decode, integrity, layout, lock
@@ -55,17 +54,14 @@ class RunWriter:
 
     def __init__(self, path: Path, config: RunConfig) -> None:
         """Open the run folder `path`. Raises UserError if another process writes it."""
-        self.path = path
-        self.config = config
-        self.run_id = path.name
-        taken_over = lock.written_here(path) is False
+        self.path, self.config, self.run_id = path, config, path.name
         self._lock = lock.acquire(path)
-        _prepare(path)
-        if taken_over:
-            _renew(path)
-        self._metrics = JsonLines(path / layout.METRICS)
-        self._profiles = JsonLines(path / layout.PROFILES)
-        self._notices = JsonLines(path / layout.NOTICES)
+        for folder in (path, *(path / name for name in layout.FOLDERS)):
+            folder.mkdir(exist_ok=True)  # a later version may have more
+            for left in folder.glob(".*.tmp"):  # by a killed writer
+                if not left.name.startswith(f".{layout.LABELS}"):  # which others write
+                    left.unlink(missing_ok=True)
+        self._lines = {name: JsonLines(path / name) for name in layout.LINES}
         self._latest_snapshot: int | None = None
         self._tail: dict[str, NDArray] = {}  # the rows of the last segment
         self._tail_first = 0
@@ -86,18 +82,35 @@ class RunWriter:
         appears whole, with `config.json`, or not at all. Raises UserError if the id is invalid or
         taken, or if the store cannot be written.
         """
-        from tom.record.task_record import save_scene  # a simulator takes a second to import
+        from tom.record.task_record import description, save_scene  # imports a simulator: a second
 
         path = store.resolve(run_id)
         store.ensure_writable()
         taken = TakenError(f"run '{run_id}' exists already: choose another run id")
         if os.path.lexists(path):
             raise taken
+        task, needed = description(config.env), plugins.needed(config)
+        content = {
+            "schema": layout.SCHEMA,
+            "run_id": run_id,
+            "env": config.env,
+            "learner": config.learner,
+            "seed": config.seed,
+            "preset": config.preset,
+            "config": config.model_dump(mode="json"),
+            "versions": versions(),
+            "git_commit": git_commit(),
+            "machine": machine(),
+            "matmul": matmul,
+            "command": command,
+            "created": datetime.now(UTC).isoformat(),
+            **({} if task is None else {"task": task}),
+            **({"plugins": needed} if needed else {}),
+        }
         try:
             with whole_folder(path) as unfinished:
                 for folder in layout.FOLDERS:
                     (unfinished / folder).mkdir()
-                content = _description(run_id, config, matmul, command)
                 replace_json(unfinished / layout.CONFIG, content, sync=True)
                 save_scene(config.env, unfinished)
         except OSError as error:
@@ -108,12 +121,21 @@ class RunWriter:
         return cls(path, config)
 
     def mark(self) -> dict[str, Any]:
-        """The sizes and digests of the files, for `rewind`."""
+        """The sizes and digests of the files, for `rewind`; their rows are on the disk by then.
+
+        Later rows begin a new segment: one that is written anew could be lost with its old rows.
+        """
+        self._lock.check()
+        for lines in self._lines.values():
+            lines.sync()
+        for path in (*self._unsynced, self.path / layout.BUFFER):
+            sync(path)
+        self._unsynced.clear()
+        self._end_segment()
         return {
-            "lines": [lines.size for lines in self._lines()],
-            "sha256": [lines.sha256 for lines in self._lines()],
+            "lines": [lines.size for lines in self._lines.values()],
+            "sha256": [lines.sha256 for lines in self._lines.values()],
             "segment": self._tail_first,
-            "segment_rows": self._tail_rows(),
             "latest_snapshot": self._latest_snapshot,
         }
 
@@ -124,20 +146,22 @@ class RunWriter:
         stay, because they are not given again: its versions count from then on.
         """
         (self.path / layout.DIGESTS).unlink(missing_ok=True)
-        resumed = self._notices.rows(mark["lines"][-1])
-        digest = mark.get("sha256", [None])[0]  # missing in earlier checkpoints
-        if begins_with(self._metrics.path, mark["lines"][0], digest):
-            self._metrics.cut(mark["lines"][0])
-        else:
+        (self.path / layout.METRICS_TABLE).unlink(missing_ok=True)
+        sizes = dict(zip(layout.LINES, mark["lines"], strict=True))
+        resumed = self._lines[layout.NOTICES].rows(sizes[layout.NOTICES])
+        if not begins_with(self.path / layout.METRICS, mark["lines"][0], mark["sha256"][0]):
             self._keep_metrics_up_to(env_step)
-        for lines, size in zip(self._lines()[1:], mark["lines"][1:], strict=True):
-            lines.cut(size)
+            del sizes[layout.METRICS]
+        for name, size in sizes.items():
+            self._lines[name].cut(size)
         for row in resumed:
             if row.get("code", row.get("kind")) in RESUMING:
-                self._append(self._notices, row)
-        (self.path / layout.METRICS_TABLE).unlink(missing_ok=True)
+                self._append(layout.NOTICES, row)
         self._latest_snapshot = mark["latest_snapshot"]
-        self._rewind_buffer(mark["segment"], mark["segment_rows"])
+        self._tail_first, self._tail = mark["segment"], {}
+        for first in layout.numbers(self.path / layout.BUFFER, ".npz"):
+            if first >= self._tail_first:
+                (self.path / layout.segment(first)).unlink()
 
     def _keep_metrics_up_to(self, env_step: int) -> None:
         rows = RunReader(self.path).metrics().to_dict("records")
@@ -146,36 +170,10 @@ class RunWriter:
             for row in rows
             if row["env_step"] <= env_step
         )
-        replace(self._metrics.path, lambda file: file.write(text), sync=True)
-        self._metrics.close()
-        self._metrics = JsonLines(self._metrics.path)
-
-    def _rewind_buffer(self, segment: int, rows: int) -> None:
-        """Go back to the first `rows` rows of the segment that begins with row `segment`."""
-        for first in layout.numbers(self.path / layout.BUFFER, ".npz"):
-            if first >= segment + rows:
-                (self.path / layout.segment(first)).unlink()
-        self._tail_first, self._tail = segment, {}
-        if rows:
-            name = layout.segment(segment)
-            held = read_arrays(self.path / name)
-            self._tail = {part: array[:rows] for part, array in held.items()}
-            # Its later rows would overlap the next segment's.
-            self.arrays(name, self._tail, sync=True)
-
-    def sync(self) -> None:
-        """Wait until the rows that a checkpoint relies on are on the disk.
-
-        Later rows begin a new segment: one that is written anew could be lost with its old rows.
-        """
-        self._lock.check()
-        for lines in self._lines():
-            lines.sync()
-        for path in self._unsynced:
-            sync(path)
-        sync(self.path / layout.BUFFER)
-        self._unsynced.clear()
-        self._end_segment()
+        path = self.path / layout.METRICS
+        replace(path, lambda file: file.write(text), sync=True)
+        self._lines[layout.METRICS].close()
+        self._lines[layout.METRICS] = JsonLines(path)
 
     def check(self) -> None:
         """Raises LostError if another writer has taken over the folder."""
@@ -195,9 +193,6 @@ class RunWriter:
         )
         replace_json(self.path / layout.CONFIG, description, sync=True)
 
-    def _lines(self) -> tuple[JsonLines, ...]:
-        return self._metrics, self._profiles, self._notices
-
     def status(self, status: Status) -> None:
         """Replace `status.json`; a final state is also synced to the disk."""
         self._lock.check()
@@ -206,12 +201,12 @@ class RunWriter:
 
     def metrics(self, row: Mapping[str, Any]) -> None:
         """Append a row of metrics."""
-        self._append(self._metrics, row)
+        self._append(layout.METRICS, row)
 
     def notice(self, env_step: int, code: str, message: str) -> None:
         """Append a notice."""
         row = {"env_step": env_step, "code": code, "message": message}
-        self._append(self._notices, row)
+        self._append(layout.NOTICES, row)
 
     def profile(self, weights: Weights, bins: int) -> None:
         """Append the weight profile of a fit."""
@@ -222,7 +217,7 @@ class RunWriter:
             "ess": ess(weights.weight),
             "zeros": zero_share(weights.weight),
         }
-        self._append(self._profiles, row)
+        self._append(layout.PROFILES, row)
 
     def snapshot(self, weights: Weights, *, keep: bool) -> None:
         """Write the single weights and their policy; earlier ones are deleted unless kept."""
@@ -254,7 +249,7 @@ class RunWriter:
         self._tail = new
         self.arrays(layout.segment(name), new)
         self._unsynced.add(self.path / layout.segment(name))
-        if self._tail_rows() >= SEGMENT_ROWS:
+        if len(new["policy_version"]) >= SEGMENT_ROWS:
             self._end_segment()
 
     def arrays(self, name: str, arrays: Mapping[str, NDArray], *, sync: bool = False) -> None:
@@ -268,8 +263,8 @@ class RunWriter:
 
     def metrics_table(self) -> None:
         """Write the Parquet copy of the metrics."""
-        rows = self._metrics.rows()
-        table = pa.Table.from_pandas(decode.metrics_table(rows), preserve_index=False)
+        rows = decode.metrics_table(self._lines[layout.METRICS].rows())
+        table = pa.Table.from_pandas(rows, preserve_index=False)
         self._table(layout.METRICS_TABLE, table, sync=True)
 
     def digests(self) -> None:
@@ -279,66 +274,18 @@ class RunWriter:
 
     def close(self) -> None:
         """Close the files and release the lock."""
-        for lines in self._lines():
+        for lines in self._lines.values():
             lines.close()
         self._lock.close()
 
-    def _tail_rows(self) -> int:
-        return len(self._tail["policy_version"]) if self._tail else 0
-
     def _end_segment(self) -> None:
-        self._tail_first += self._tail_rows()
+        self._tail_first += len(self._tail.get("policy_version", ()))
         self._tail = {}
 
-    def _append(self, lines: JsonLines, row: Mapping[str, Any]) -> None:
+    def _append(self, name: str, row: Mapping[str, Any]) -> None:
         self._lock.check()
-        lines.append(row)
+        self._lines[name].append(row)
 
     def _table(self, name: str, table: pa.Table, *, sync: bool = False) -> None:
         self._lock.check()
         replace(self.path / name, lambda file: write_table(file, table, **NUMBERS), sync=sync)
-
-
-def _description(run_id: str, config: RunConfig, matmul: object, command: str) -> dict[str, Any]:
-    """The content of `config.json`: everything that a run was started with."""
-    from tom.record.task_record import description
-
-    task, needed = description(config.env), plugins.needed(config)
-    return {
-        "schema": layout.SCHEMA,
-        "run_id": run_id,
-        "env": config.env,
-        "learner": config.learner,
-        "seed": config.seed,
-        "preset": config.preset,
-        "config": config.model_dump(mode="json"),
-        "versions": versions(),
-        "git_commit": git_commit(),
-        "machine": machine(),
-        "matmul": matmul,
-        "command": command,
-        "created": datetime.now(UTC).isoformat(),
-        **({} if task is None else {"task": task}),
-        **({"plugins": needed} if needed else {}),
-    }
-
-
-def _prepare(path: Path) -> None:
-    """Remove what a killed writer left (we hold the lock), and make folders of later versions."""
-    for folder in (path, *(path / name for name in layout.FOLDERS)):
-        folder.mkdir(exist_ok=True)
-        for left in folder.glob(".*.tmp"):
-            if not left.name.startswith(f".{layout.LABELS}"):  # labels are written by others
-                left.unlink(missing_ok=True)
-
-
-def _renew(path: Path) -> None:
-    """Replace the growing files by copies.
-
-    A writer on another machine may still have them open, with rows that its kernel has not sent
-    yet; those rows then end in files that no longer have a name.
-    """
-    for name in layout.LINES:
-        if (path / name).exists():
-            content = (path / name).read_bytes()
-            replace(path / name, lambda file, content=content: file.write(content), sync=True)

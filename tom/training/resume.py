@@ -235,6 +235,7 @@ def _restore(
         training.load_state_dict(state, *_collected(reader, state["collected"]))
         if "watch" in saved.state:
             watch.load_state_dict(saved.state["watch"])
+        _ = saved.state["record"]["files"]["sha256"]  # checkpoints before 2026-11-26 have none
         return saved.state["record"]
     except UNFIT as error:
         raise StartAgainError(

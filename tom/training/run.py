@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
-from time import perf_counter
 from typing import Any, Protocol, TypedDict, Unpack
 
 import numpy as np
@@ -17,7 +16,6 @@ from tom.machine.memory import keep_freed_memory
 from tom.mbpo import Mbpo
 from tom.offline import Offline
 from tom.record import RunReader, Store, checkpoint
-from tom.record.lock import LostError
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import RerunSink
 from tom.record.writer import RunWriter, TakenError
@@ -149,35 +147,9 @@ def record(
         at = event.env_step
         asked = stop is not None and stop.asked
         if asked or (every and at % every == 0) or at == total:
-            _save(training, watch, recorder, writer, at)
+            recorder.save({"training": training.state_dict(), "watch": watch.state_dict()})
         if asked and at < total:
             saved = checkpoint.newest(writer.path / checkpoint.FOLDER)
             hint = STOPPED if saved is not None else "stopped at step {step}, no checkpoint"
             recorder.finish("stopped", hint.format(step=at, run=writer.run_id))
             return
-
-
-def _save(
-    training: Training, watch: Watch, recorder: Recorder, writer: RunWriter, env_step: int
-) -> None:
-    """Write a checkpoint; if the disk is full, the last one stays and training goes on.
-
-    Raises LostError if another writer has taken the run over.
-    """
-    begun, folder = perf_counter(), writer.path / checkpoint.FOLDER
-    try:
-        state = {
-            "training": training.state_dict(),
-            "watch": watch.state_dict(),
-            "record": recorder.mark(),
-            "config": writer.config.model_dump(mode="json"),
-        }
-        checkpoint.save(folder, env_step, state, writer.check)
-    except LostError:
-        raise
-    except OSError as error:
-        before = checkpoint.newest(folder)
-        stays = "there is none yet" if before is None else f"that of step {before} stays"
-        message = f"no checkpoint could be written ({error}): {stays}; free some space"
-        recorder.consume(Notice(env_step, "checkpoint", message))
-    recorder.checkpoint_took(perf_counter() - begun)

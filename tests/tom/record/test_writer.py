@@ -47,7 +47,6 @@ def test_rows_that_a_checkpoint_counts_on_outlive_a_power_loss_long_after_it(
     writer = RunWriter.create(Store(tmp_path), "a", Config)
     write(writer, 0, 30)
     write(writer, 30, 30)
-    writer.sync()
     mark = writer.mark()
     write(writer, 60, 40)
     writer.close()
@@ -66,26 +65,10 @@ def test_a_rewound_record_has_no_row_from_after_its_mark(tmp_path: Path, before:
     writer = RunWriter.create(Store(tmp_path), "a", Config)
     if before:
         write(writer, 0, before)
-    writer.sync()
     mark = writer.mark()
     write(writer, before, 40)
-    writer.sync()
+    writer.mark()
     write(writer, before + 40, 40)
     writer.rewind(mark, 0)
     assert held(writer.path) == list(range(before))
     writer.close()
-
-
-def test_a_record_that_goes_back_into_a_segment_and_is_stopped_at_once_loses_no_row(tmp_path: Path):
-    writer = RunWriter.create(Store(tmp_path), "a", Config)
-    write(writer, 0, 60)
-    mark = writer.mark()  # as checkpoints had it when they did not end the segment
-    write(writer, 60, 40)
-    writer.rewind(mark, 0)
-    writer.sync()
-    stopped = writer.mark()
-    writer.rewind(stopped, 0)
-    write(writer, 60, 5)
-    writer.close()
-    assert held(writer.path) == list(range(65))
-    assert RunReader(writer.path).problems == []
