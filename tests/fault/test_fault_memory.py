@@ -45,7 +45,7 @@ def test_memory_that_runs_out_in_the_middle__the_run_stays_up_to_its_last_checkp
     command = [*train_command(tmp_path), "--model.batch-size=1000000000", "--run-id", "a"]
     code, _, error = ended(tom(*command, preexec_fn=limited))
     assert code == 1
-    assert "failed: not enough memory" in one_line(error)
+    assert "failed: not enough memory" in one_line(error.splitlines()[-1])
     run = Store(tmp_path).run("a")
     assert run.status.reason.startswith("step 40: not enough memory")
     assert run.problems == []

@@ -7,8 +7,6 @@ A repair moves damaged files into the run's `damaged/` folder and never deletes 
 """
 
 import hashlib
-import os
-from collections.abc import Iterator
 from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
@@ -58,15 +56,11 @@ def verify(reader: RunReader) -> list[str]:
     for read in (run.metrics, run.metric_rows, run.profiles, run.notices, run.list_folders):
         read()
     rows, _ = run.buffer()
-    unreadable = {
-        f"{_name(run, path)} cannot be read: {error}"
-        for path in _arrays(run.path)
-        if (error := _unreadable(path)) and path.exists()  # a training deletes weights as it goes
-    }
     problems = list(run.problems)
-    for found in (sorted(unreadable), (f"{n} {what}" for n, what in _altered(run.path).items())):
+    found = [f"{name} cannot be read: {why}" for name, why in _unreadable(run.path).items()]
+    for more in (found, [f"{name} {what}" for name, what in _altered(run.path).items()]):
         named = "\n".join(problems)
-        problems += [problem for problem in found if problem.split()[0] not in named]
+        problems += [problem for problem in more if problem.split()[0] not in named]
     if run.status.shown == "dead":
         last = datetime.fromtimestamp(max(run.status.heartbeat, 0))
         problems.append(f"says it is running, without a heartbeat since {last:%Y-%m-%d %H:%M:%S}")
@@ -81,7 +75,7 @@ def verify(reader: RunReader) -> list[str]:
     if any(not checkpoint.is_whole(p) for p in checkpoint.folders(run.path / layout.MODEL)):
         problems.append(f"{layout.MODEL} is damaged: ghosts and model errors are missing")
     if not run.status.alive:
-        problems += [f"{_name(run, p)} is left from an interrupted write" for p in _left(run)]
+        problems += [f"{name} is left from an interrupted write" for name in _left(run.path)]
     return problems
 
 
@@ -94,25 +88,42 @@ def repair(reader: RunReader) -> list[str]:
     removed. Raises UserError while the run is being written, or if the disk is full: what is
     repaired by then stays repaired.
     """
-    done: list[str] = []
+    run, done = reader.path, dict[str, str]()
     with unwritten(reader), refused(f"cannot repair run '{reader.run_id}'"):
-        altered = _altered(reader.path)
-        for path in _left(reader):
-            path.unlink()
-            done.append(f"{_name(reader, path)}: removed, it was never whole")
-        done += _repair_metrics(reader, altered)
+        altered, unreadable = _altered(run), _unreadable(run)
+        for name in _left(run):
+            (run / name).unlink()
+            done[name] = "removed, it was never whole"
         for name in layout.LINES:
-            done += _blank_damaged_lines(reader, name)
-        for path in _arrays(reader.path):
-            if _name(reader, path) in altered or _unreadable(path):
-                done.append(f"{_name(reader, path)}: {_set_aside(reader, path)}")
-        if not (table := reader.path / layout.METRICS_TABLE).exists():
+            text, what = _whole_rows(run / name), "damaged lines blanked out"
+            if name == layout.METRICS and (
+                text is not None or name in altered or not _rows(run / name)
+            ):
+                back = b"" if layout.METRICS_TABLE in altered | unreadable else _copied_rows(run)
+                if back:
+                    text, what = back, f"the rows of {layout.METRICS_TABLE} are back"
+            if text is not None:
+                kept = set_aside(run, run / name, copy=True) if (run / name).is_file() else None
+                replace_file(run / name, lambda file, text=text: file.write(text), sync=True)
+                done[name] = what + _where(run, kept)
+        for name in dict.fromkeys((*altered, *unreadable)):
+            if Path(name).suffix in (".npz", ".parquet") and (run / name).is_file():
+                done[name] = f"set aside{_where(run, set_aside(run, run / name))}"
+        if not (run / layout.METRICS_TABLE).exists():
             rows = pa.Table.from_pandas(reader.metric_rows(), preserve_index=False)
-            replace_file(table, lambda file: write_table(file, rows), sync=True)
-            done.append(f"{layout.METRICS_TABLE}: made again")
-        done += _repair_status(reader, altered)
-        done += _renew_digests(reader, altered, "\n".join(done))
-    return done
+            replace_file(run / layout.METRICS_TABLE, lambda f: write_table(f, rows), sync=True)
+            done[layout.METRICS_TABLE] = "made again"
+        if reader.status.state in ("running", "unknown"):
+            done[layout.STATUS] = _end_status(reader, layout.DIGESTS not in altered)
+        held = checkpoint.load(run / checkpoint.FOLDER)
+        lost = [] if held is None else [text.split()[0] for text in unlike(run, held)]
+        if lost or _altered(run):
+            write_digests(run)
+            for name in (*altered, *lost):
+                if (run / name).is_file():
+                    made_again = name == layout.DIGESTS
+                    done.setdefault(name, "made again" if made_again else "kept as it is now")
+    return [f"{name}: {what}" for name, what in done.items()]
 
 
 def unlike(path: Path, held: checkpoint.Checkpoint) -> list[str]:
@@ -121,7 +132,7 @@ def unlike(path: Path, held: checkpoint.Checkpoint) -> list[str]:
     Digests of the whole run, which a repair makes anew, count more than those of the checkpoint.
     """
     altered = _altered(path)
-    if os.path.lexists(path / layout.DIGESTS) and layout.DIGESTS not in altered:
+    if (path / layout.DIGESTS).exists() and layout.DIGESTS not in altered:
         return [f"{name} {altered[name]}" for name in layout.LINES if name in altered]
     try:
         files = held.state["record"]["files"]
@@ -170,76 +181,63 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _arrays(path: Path) -> Iterator[Path]:
+def _unreadable(path: Path) -> dict[str, str]:
+    """The array files that cannot be read completely, with the reason for each."""
+    found = {}
     for folder in ("", *layout.FOLDERS):
         for file in sorted((path / folder).glob("[!.]*")):
-            if file.suffix in (".npz", ".parquet"):
-                yield file
+            try:
+                if file.suffix == ".parquet":
+                    read_table(file)
+                elif file.suffix == ".npz":
+                    read_arrays(file)
+            except FileNotFoundError:  # a training deletes weights as it goes
+                continue
+            except DAMAGE as error:
+                found[file.relative_to(path).as_posix()] = reason(error)
+    return found
 
 
-def _unreadable(path: Path) -> str | None:
-    """Why an array file cannot be read completely; None if it can."""
-    try:
-        if path.suffix == ".parquet":
-            read_table(path)
-        else:
-            read_arrays(path)
-    except DAMAGE as error:
-        return reason(error)
-    return None
-
-
-def _left(reader: RunReader) -> list[Path]:
+def _left(path: Path) -> list[str]:
     """Temporary files of an interrupted write."""
-    return sorted(p for p in reader.path.rglob(".*.tmp") if p.is_file())
+    found = (file for file in path.rglob(".*.tmp") if file.is_file())
+    return sorted(file.relative_to(path).as_posix() for file in found)
 
 
-def _repair_metrics(reader: RunReader, altered: dict[str, str]) -> list[str]:
-    """Write damaged rows of metrics anew from their Parquet copy, if that is whole.
-
-    Rows after the last of the copy stay.
-    """
-    path, copy = reader.path / layout.METRICS, reader.path / layout.METRICS_TABLE
-    content = path.read_bytes() if path.is_file() else b""
-    rows = [parse_json_line(line) for line in content.split(b"\n") if line.strip()]
-    whole = rows and None not in rows and content.endswith(b"\n") and layout.METRICS not in altered
-    if whole or layout.METRICS_TABLE in altered or _unreadable(copy):
-        return []
-    copied = read_table(copy).to_dict("records")
-    last = copied[-1]["env_step"] if copied else -1
-    later = (row for row in rows if row is not None and row.get("env_step", 0) > last)
-    back = ({"env_step": int(row["env_step"]), **numbers(row)} for row in copied)
-    text = b"".join(map(json_line, (*back, *later)))
-    return [_replace_rows(reader, path, text, f"{len(copied)} rows of {layout.METRICS_TABLE}")]
+def _rows(path: Path) -> bytes:
+    return path.read_bytes() if path.is_file() else b""
 
 
-def _blank_damaged_lines(reader: RunReader, name: str) -> list[str]:
-    """Make the damaged lines of a file blank, and cut off half a last one.
+def _whole_rows(path: Path) -> bytes | None:
+    """The file with damaged lines blank and half a last one cut off; None if there are none.
 
     Every other line stays where it is, because checkpoints hold the length of the file.
     """
-    path = reader.path / name
-    content = path.read_bytes() if path.is_file() else b""
-    *lines, half = content.split(b"\n")
-    mended = [b" " * len(line) if parse_json_line(line) is None else line for line in lines]
+    content = _rows(path)
+    *lines, _ = content.split(b"\n")
+    mended = (b" " * len(line) if parse_json_line(line) is None else line for line in lines)
     text = b"".join(line + b"\n" for line in mended)
-    if text == content:
-        return []
-    damaged = sum(a != b for a, b in zip(lines, mended, strict=True)) + bool(half)
-    return [_replace_rows(reader, path, text, f"{damaged} damaged lines blanked out")]
+    return None if text == content else text
 
 
-def _replace_rows(reader: RunReader, path: Path, text: bytes, what: str) -> str:
-    kept = f"; {_set_aside(reader, path, copy=True)}" if path.is_file() else ""
-    replace_file(path, lambda file: file.write(text), sync=True)
-    return f"{_name(reader, path)}: {what}{kept}"
+def _copied_rows(path: Path) -> bytes:
+    """The rows of metrics as their Parquet copy has them, and those after its last step."""
+    copy = path / layout.METRICS_TABLE
+    copied = read_table(copy).to_dict("records") if copy.is_file() else []
+    if not copied:
+        return b""
+    held = map(parse_json_line, _rows(path / layout.METRICS).splitlines())
+    later = (row for row in held if row and row.get("env_step", 0) > copied[-1]["env_step"])
+    back = ({"env_step": int(row["env_step"]), **numbers(row)} for row in copied)
+    return b"".join(map(json_line, (*back, *later)))
 
 
-def _repair_status(reader: RunReader, altered: dict[str, str]) -> list[str]:
-    """Give a final state to a run that is dead or has a damaged status."""
+def _end_status(reader: RunReader, attested: bool) -> str:
+    """Give a final state to a run that is dead or has a damaged status; returns what was done.
+
+    Only a run that has finished has digests, which are `attested` if they can be read.
+    """
     file, status = reader.path / layout.STATUS, reader.status
-    if status.state not in ("running", "unknown"):
-        return []
     table, newest = reader.metrics(), checkpoint.newest(reader.path / checkpoint.FOLDER)
     last = table.ffill().iloc[-1].to_dict() if len(table) else {}
     settings = reader.config.get("config")
@@ -249,49 +247,22 @@ def _repair_status(reader: RunReader, altered: dict[str, str]) -> list[str]:
     reached, total = max(status.env_step, int(last.get("env_step", 0))), status.total or planned
     goes_on = f"tom train --resume {reader.run_id} goes on from a checkpoint"
     why = "it has no checkpoint to go on from" if newest is None else goes_on
+    why = f"its process ended without a word: {why}"
     ended = replace(
-        status,
-        state="stopped",
-        phase="",
-        env_step=reached,
-        total=total,
-        eta_s=None,
-        reason=f"its process ended without a word: {why}",
+        status, state="stopped", phase="", env_step=reached, total=total, eta_s=None, reason=why
     )
     if status.state == "unknown":
-        ended = replace(
-            ended, last_return=last.get("eval/return"), best_return=last.get("eval/return_max")
-        )
-        # A run has digests once it has finished; its last row may be of an earlier step.
-        attested = (reader.path / layout.DIGESTS).is_file() and layout.DIGESTS not in altered
+        best = last.get("eval/return_max")
+        ended = replace(ended, last_return=last.get("eval/return"), best_return=best)
+        # The last row may be of an earlier step.
+        attested = attested and (reader.path / layout.DIGESTS).is_file()
         if attested and 0 < total <= max(reached, newest or 0):
             ended = replace(ended, state="finished", env_step=max(reached, total), reason="")
-        if os.path.lexists(file):
-            _set_aside(reader, file)
+        if file.exists():
+            set_aside(reader.path, file)
     replace_json(file, asdict(ended), sync=True)
-    return [f"{layout.STATUS}: {status.state} became {ended.state} at step {ended.env_step}"]
+    return f"{status.state} became {ended.state} at step {ended.env_step}"
 
 
-def _renew_digests(reader: RunReader, altered: dict[str, str], done: str) -> list[str]:
-    """Write new digests of a repaired run; returns lines on files that stay as they are now."""
-    held = checkpoint.load(reader.path / checkpoint.FOLDER)
-    lost = [] if held is None else [text.split()[0] for text in unlike(reader.path, held)]
-    if not lost and not _altered(reader.path):
-        return []
-    write_digests(reader.path)
-    stay = dict.fromkeys(name for name in (*altered, *lost) if (reader.path / name).is_file())
-    return [
-        f"{layout.DIGESTS}: made again" if name == layout.DIGESTS else f"{name}: kept as it is now"
-        for name in stay
-        if name not in done
-    ]
-
-
-def _set_aside(reader: RunReader, path: Path, *, copy: bool = False) -> str:
-    """Move or copy a file into the run's `damaged/` folder; returns a phrase that says where."""
-    place = set_aside(reader.path, path, copy=copy)
-    return f"what was there is kept as {_name(reader, place)}"
-
-
-def _name(reader: RunReader, path: Path) -> str:
-    return path.relative_to(reader.path).as_posix()
+def _where(run: Path, place: Path | None) -> str:
+    return f"; what was there is kept as {place.relative_to(run)}" if place else ""
