@@ -140,10 +140,10 @@ def test_hostile_words_in_names_notes_settings_and_notices__are_shown_as_plain_w
     )
     with (bad / "metrics.jsonl").open("a") as file:
         file.write(json.dumps({"env_step": 10_000, HOSTILE: 1.0}) + "\n")
-    manage.note(Store(store), "bad", HOSTILE)
+    manage.label(Store(store), "bad", note=HOSTILE)
     try:
-        manage.rename(Store(store), "bad", HOSTILE)
-        manage.tag(Store(store), "bad", [HOSTILE])
+        manage.label(Store(store), "bad", name=HOSTILE)
+        manage.label(Store(store), "bad", add=[HOSTILE])
     except UserError:
         pass  # a name or tag that is not allowed is as good as a harmless one
     for query in ({}, {"run": "bad"}, {"run": "bad", "panel": HOSTILE}):

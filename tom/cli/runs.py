@@ -245,15 +245,16 @@ def _text(value: Any) -> str:
 
 
 def rename(args: argparse.Namespace) -> int:
-    return _labelled(args, manage.rename(Store(args.store), args.run_id, args.name))
+    return _labelled(args, manage.label(Store(args.store), args.run_id, name=args.name))
 
 
 def tag(args: argparse.Namespace) -> int:
-    return _labelled(args, manage.tag(Store(args.store), args.run_id, args.tags, args.remove))
+    store = Store(args.store)
+    return _labelled(args, manage.label(store, args.run_id, add=args.tags, remove=args.remove))
 
 
 def note(args: argparse.Namespace) -> int:
-    return _labelled(args, manage.note(Store(args.store), args.run_id, args.text))
+    return _labelled(args, manage.label(Store(args.store), args.run_id, note=args.text))
 
 
 def _labelled(args: argparse.Namespace, labels: Labels) -> int:
@@ -268,20 +269,12 @@ def trash(args: argparse.Namespace) -> int:
     if not args.run_ids:
         trashed = manage.trashed(store)
         return _output(args, trashed, trashed or ["nothing"])
-    run_ids = list(dict.fromkeys(args.run_ids))
-    for run_id in run_ids:  # what is refused is refused before any run is moved
-        with manage.unwritten(store.run(run_id)):
-            pass
-    places = [str(manage.trash(store, run_id)) for run_id in run_ids]
+    places = [str(place) for place in manage.trash(store, *args.run_ids)]
     return _output(args, places, places)
 
 
 def restore(args: argparse.Namespace) -> int:
-    store = Store(args.store)
-    run_ids = list(dict.fromkeys(args.run_ids))
-    for run_id in run_ids:
-        manage.check_restorable(store, run_id)
-    places = [str(manage.restore(store, run_id)) for run_id in run_ids]
+    places = [str(place) for place in manage.restore(Store(args.store), *args.run_ids)]
     return _output(args, places, places)
 
 

@@ -6,9 +6,9 @@ Nothing here changes a training's files; only old checkpoints are ever deleted.
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import asdict
 from pathlib import Path
 
 from tom.errors import UserError
@@ -24,38 +24,50 @@ PARTS = ("buffer", "checkpoint", "episodes", "fields", "policies", "recording", 
 _TRASHED = re.compile(rf"({layout.RUN_ID.pattern})(?:~(\d+))?")  # "~" is in no run id
 
 
-def rename(store: Store, run_id: str, name: str) -> Labels:
-    """Give a run a display name; "" removes it. The folder and the run id stay."""
-    return _change(store, run_id, lambda before: replace(before, name=name))
+def label(
+    store: Store,
+    run_id: str,
+    *,
+    name: str | None = None,
+    note: str | None = None,
+    add: Sequence[str] = (),
+    remove: Sequence[str] = (),
+) -> Labels:
+    """Give a run a display name and a note ("" takes them away), add and remove tags.
 
-
-def note(store: Store, run_id: str, text: str) -> Labels:
-    """Give a run a note; "" removes it."""
-    return _change(store, run_id, lambda before: replace(before, note=text))
-
-
-def tag(store: Store, run_id: str, add: Sequence[str] = (), remove: Sequence[str] = ()) -> Labels:
-    """Add and remove tags of a run. Raises UserError if a tag to remove is missing."""
-
-    def changed(before: Labels) -> Labels:
-        for name in remove:
-            if name not in before.tags:
-                known = ", ".join(before.tags) or "none"
-                raise UserError(f"run '{run_id}' has no tag '{name}' (it has: {known})")
-        kept = (name for name in before.tags if name not in remove)
-        return replace(before, tags=(*kept, *add))
-
-    return _change(store, run_id, changed)
-
-
-def trash(store: Store, run_id: str) -> Path:
-    """Move a run into `<store>/.trash/` and return its path there.
-
-    Raises UserError if it is not a run folder of this store, or the run is being written.
+    The folder and the run id stay. Of several processes one comes after the other. Raises UserError
+    for a bad label, a tag to remove that is missing, or if the present labels are unreadable, so as
+    not to lose them.
     """
-    reader = store.run(run_id)
-    with unwritten(reader), refused(f"cannot trash run '{run_id}'"):
-        return into_trash(store, reader.path)
+    path = store.run(run_id).path
+    file = path / layout.LABELS
+    with refused(f"cannot label run '{run_id}'"), lock.alone_in(path):
+        try:
+            before = labels.parse(read_json(file)) if file.exists() else Labels()
+        except ValueError as error:
+            raise UserError(f"{file} is damaged ({error}): mend it or move it away") from None
+        for tag in remove:
+            if tag not in before.tags:
+                known = ", ".join(before.tags) or "none"
+                raise UserError(f"run '{run_id}' has no tag '{tag}' (it has: {known})")
+        tags = (*(tag for tag in before.tags if tag not in remove), *add)
+        named = before.name if name is None else name
+        noted = before.note if note is None else note
+        after = labels.checked(Labels(named, tags, noted))
+        replace_json(file, {"schema": labels.SCHEMA, **asdict(after)}, sync=True)
+    return after
+
+
+def trash(store: Store, *run_ids: str) -> list[Path]:
+    """Move runs into `<store>/.trash/`, all or none; returns their paths there.
+
+    Raises UserError if one is not a run folder of this store, or is being written.
+    """
+    readers = [store.run(run_id) for run_id in dict.fromkeys(run_ids)]
+    with ExitStack() as locks, refused(f"cannot trash {', '.join(run_ids)}"):
+        for reader in readers:
+            locks.enter_context(unwritten(reader))
+        return [into_trash(store, reader.path) for reader in readers]
 
 
 def into_trash(store: Store, path: Path) -> Path:
@@ -76,29 +88,24 @@ def trashed(store: Store) -> list[str]:
     return sorted(_trashed(store))
 
 
-def restore(store: Store, run_id: str) -> Path:
-    """Move the run that was trashed last under that id back into the store.
-
-    Raises the errors of `check_restorable`.
-    """
-    place, trashed_place = store.resolve(run_id), check_restorable(store, run_id)
-    with refused(f"cannot restore run '{run_id}'"):
-        trashed_place.rename(place)
-    return place
-
-
-def check_restorable(store: Store, run_id: str) -> Path:
-    """The run that was trashed last under that id, in the trash.
+def restore(store: Store, *run_ids: str) -> list[Path]:
+    """Move the runs that were trashed last under these ids back into the store, all or none.
 
     Raises UserError if there is none, or if the store has another run of that id.
     """
-    place, in_trash = store.resolve(run_id), _trashed(store)
-    if run_id not in in_trash:
-        known = ", ".join(sorted(in_trash)[:5]) or "nothing"
-        raise UserError(f"no run '{run_id}' in the trash of {store.path}/ (it holds {known})")
-    if os.path.lexists(place):
-        raise UserError(f"{store.path}/ holds another run '{run_id}': trash that one first")
-    return max(in_trash[run_id].items())[1]
+    moves, in_trash = [], _trashed(store)
+    for run_id in dict.fromkeys(run_ids):
+        place = store.resolve(run_id)
+        if run_id not in in_trash:
+            known = ", ".join(sorted(in_trash)[:5]) or "nothing"
+            raise UserError(f"no run '{run_id}' in the trash of {store.path}/ (it holds {known})")
+        if os.path.lexists(place):
+            raise UserError(f"{store.path}/ holds another run '{run_id}': trash that one first")
+        moves.append((max(in_trash[run_id].items())[1], place))
+    for trashed_place, place in moves:
+        with refused(f"cannot restore run '{place.name}'"):
+            trashed_place.rename(place)
+    return [place for _, place in moves]
 
 
 def sizes(reader: RunReader) -> dict[str, int]:
@@ -115,14 +122,15 @@ def sizes(reader: RunReader) -> dict[str, int]:
 def prune(reader: RunReader, keep: int, *, dry_run: bool = False) -> int:
     """Delete the checkpoints of a run before its `keep` newest whole ones; returns the freed bytes.
 
-    A dry run deletes nothing. Raises UserError while the run is being written.
+    A damaged one replaces none. A dry run deletes nothing. Raises UserError while the run is being
+    written.
     """
-    if dry_run:
-        return sum(map(size_of, _before(reader, keep)))
-    with unwritten(reader):
-        old = _before(reader, keep)
+    with nullcontext() if dry_run else unwritten(reader):
+        old = checkpoint.folders(reader.path / checkpoint.FOLDER)
+        while old and keep:
+            keep -= checkpoint.is_whole(old.pop(0))
         freed = sum(map(size_of, old))
-        for path in old:
+        for path in () if dry_run else old:
             shutil.rmtree(path)
     return freed
 
@@ -150,23 +158,6 @@ def refused(what: str) -> Iterator[None]:
         raise UserError(f"{what}: {error.strerror or error}") from error
 
 
-def _change(store: Store, run_id: str, changed: Callable[[Labels], Labels]) -> Labels:
-    """Change the labels of a run, of several processes one after the other; returns the new ones.
-
-    Raises UserError if the present ones are unreadable, so as not to lose them.
-    """
-    path = store.run(run_id).path
-    file = path / layout.LABELS
-    with refused(f"cannot label run '{run_id}'"), lock.alone_in(path):
-        try:
-            before = labels.parse(read_json(file)) if file.exists() else Labels()
-        except ValueError as error:
-            raise UserError(f"{file} is damaged ({error}): mend it or move it away") from None
-        after = labels.checked(changed(before))
-        replace_json(file, {"schema": labels.SCHEMA, **asdict(after)}, sync=True)
-    return after
-
-
 def _trashed(store: Store) -> dict[str, dict[int, Path]]:
     """The folders in the trash by run id and number; the last trashed one has the largest."""
     folder = store.beside(layout.TRASH)
@@ -176,15 +167,3 @@ def _trashed(store: Store) -> dict[str, dict[int, Path]]:
         if match and path.is_dir():
             found.setdefault(match[1], {})[int(match[2] or 1)] = path
     return found
-
-
-def _before(reader: RunReader, keep: int) -> list[Path]:
-    """The checkpoints before the `keep` newest whole ones: a damaged one replaces none."""
-    folders = checkpoint.folders(reader.path / checkpoint.FOLDER)
-    if len(folders) <= keep:
-        return []
-    for place, path in enumerate(folders):
-        if keep == 0:
-            return folders[place:]
-        keep -= checkpoint.is_whole(path)
-    return []

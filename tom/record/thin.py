@@ -17,7 +17,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from tom.record import checkpoint, decode, layout, small_copy
-from tom.record.decode import Profiles, write_table
+from tom.record.decode import write_table
 from tom.record.files import json_line, plain, replace_json, size_of, whole_folder
 from tom.record.integrity import write_digests
 from tom.record.reader import RunReader, at_or_before
@@ -55,22 +55,36 @@ def thin(
     SERIES, is not kept.
     """
     status = reader.status  # read first, because a training may end meanwhile
-    with whole_folder(path) as unfinished:
+    with whole_folder(path) as to:
         for folder in layout.FOLDERS:
-            (unfinished / folder).mkdir()
-        _copy(reader, unfinished, without)
-        lacks = [part for part in OPTIONAL if _leave_out(reader, unfinished, part, keep, without)]
-        if "buffer" not in lacks:  # else no page has the row whose weight the terms explain
-            for step in RunReader(unfinished).snapshot_steps():
-                _snapshot(reader, step, unfinished, terms=True)
-        lacks += _lost(reader, RunReader(unfinished))
+            (to / folder).mkdir()
+        for name in (layout.STATUS, layout.LABELS, layout.NOTICES, layout.SCENE):
+            if (reader.path / name).is_file():
+                shutil.copyfile(reader.path / name, to / name)
+        rows = {layout.METRICS: _chosen_rows(reader), layout.PROFILES: _chosen_profiles(reader)}
+        for name, chosen in rows.items():
+            (to / name).write_bytes(b"".join(map(json_line, chosen)))
+        lacks = ["buffer"] if _leave_out(reader, to, "buffer", keep, without) else []
+        snapshots = [] if "snapshots" in without else _spread(reader.snapshot_steps(), SNAPSHOTS)
+        for step in snapshots:  # without rows no page has the one whose weight the terms explain
+            _snapshot(reader, step, to, terms=not lacks)
+        evaluations = [] if "evaluations" in without else reader.evaluation_steps()
+        for step in _spread(evaluations, EVALUATIONS):
+            _arrays(reader, to, layout.episodes(step), coarse, _of_first_episode)
+        for name in reader.field_names():
+            recorded = reader.field_steps(name)
+            for step in {at_or_before(recorded, step) for step in snapshots} | {recorded[0]}:
+                _arrays(reader, to, layout.field(name, step), coarse)
+        others = [part for part in OPTIONAL if part != "buffer"]
+        lacks += [part for part in others if _leave_out(reader, to, part, keep, without)]
+        copy = RunReader(to)
+        lacks += _lost(reader, copy)
         before = [part for part in reader.left_out if part.removeprefix("other ") not in lacks]
         description = _description(reader, dict.fromkeys([*before, *lacks]))
-        replace_json(unfinished / layout.CONFIG, description, sync=False)
+        replace_json(to / layout.CONFIG, description, sync=False)
         if status.state in ("running", "stopped") and not reader.small_copy:
-            ended = _ended(status, RunReader(unfinished))
-            replace_json(unfinished / layout.STATUS, asdict(ended), sync=False)
-        write_digests(unfinished)
+            replace_json(to / layout.STATUS, asdict(_ended(status, copy)), sync=False)
+        write_digests(to)
 
 
 def _ended(status: Status, copy: RunReader) -> Status:
@@ -83,25 +97,6 @@ def _ended(status: Status, copy: RunReader) -> Status:
         why = "while it was training" if status.alive else "after its process ended without a word"
     reason = f"copied at step {step} {why}"
     return replace(status, state="stopped", phase="", env_step=step, reason=reason, eta_s=None)
-
-
-def _copy(reader: RunReader, to: Path, without: Collection[str]) -> None:
-    for name in (layout.STATUS, layout.LABELS, layout.NOTICES, layout.SCENE):
-        if (reader.path / name).is_file():
-            shutil.copyfile(reader.path / name, to / name)
-    (to / layout.METRICS).write_bytes(b"".join(map(json_line, _chosen_rows(reader))))
-    profiles = b"".join(map(json_line, _profile_rows(reader.profiles())))
-    (to / layout.PROFILES).write_bytes(profiles)
-    snapshots = [] if "snapshots" in without else _spread(reader.snapshot_steps(), SNAPSHOTS)
-    evaluations = [] if "evaluations" in without else reader.evaluation_steps()
-    for step in snapshots:
-        _snapshot(reader, step, to, terms=False)
-    for step in _spread(evaluations, EVALUATIONS):
-        _arrays(reader, to, layout.episodes(step), coarse, _of_first_episode)
-    for name in reader.field_names():
-        recorded = reader.field_steps(name)
-        for step in {at_or_before(recorded, step) for step in snapshots} | {recorded[0]}:
-            _arrays(reader, to, layout.field(name, step), coarse)
 
 
 def _lost(run: RunReader, copy: RunReader) -> list[str]:
@@ -170,7 +165,8 @@ def _chosen_rows(reader: RunReader) -> Iterator[dict[str, Any]]:
         yield {"env_step": step, **{k: short(v) for k, v in row.items() if v == v}}
 
 
-def _profile_rows(profiles: Profiles) -> Iterator[dict[str, Any]]:
+def _chosen_profiles(reader: RunReader) -> Iterator[dict[str, Any]]:
+    profiles = reader.profiles()
     for i in _spread(range(len(profiles.env_step)), FITS):
         yield {
             "env_step": int(profiles.env_step[i]),
@@ -226,10 +222,6 @@ def _model(reader: RunReader, to: Path) -> None:
     checkpoint.save(to / layout.MODEL, held.env_step, {"training": state})
 
 
-def _policy(reader: RunReader, to: Path) -> None:
-    _arrays(reader, to, layout.POLICY, half)
-
-
 def _policies(reader: RunReader, to: Path) -> None:
     """Write the policies of the fits whose single weights are kept, in half precision.
 
@@ -245,7 +237,7 @@ def _policies(reader: RunReader, to: Path) -> None:
 OPTIONAL: dict[str, tuple[str, Callable[[RunReader, Path], None]]] = {
     "buffer": (layout.BUFFER, _buffer),
     "model": (layout.MODEL, _model),
-    "policy": (layout.POLICY, _policy),
+    "policy": (layout.POLICY, lambda reader, to: _arrays(reader, to, layout.POLICY, half)),
     "policies": (layout.POLICIES, _policies),
 }
 """parts that are left out if they are not small: the path and the writer of each"""

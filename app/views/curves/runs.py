@@ -88,7 +88,7 @@ def overview(runs: Sequence[RunReader]) -> pd.DataFrame:
 def _label(chosen: Sequence[RunReader]) -> None:
     one = chosen[0] if len(chosen) == 1 else None
     key = " ".join(run.run_id for run in chosen)
-    name = note = ""
+    name = note = None
     with st.form(f"label {key}", border=False):
         if one:
             name = st.text_input(
@@ -110,10 +110,8 @@ def _label(chosen: Sequence[RunReader]) -> None:
     def save() -> None:
         for run in chosen:
             added = [tag for tag in tags if tag not in shared]
-            manage.tag(store, run.run_id, add=added, remove=[t for t in shared if t not in tags])
-        if one:
-            manage.rename(store, one.run_id, name)
-            manage.note(store, one.run_id, note)
+            gone = [tag for tag in shared if tag not in tags]
+            manage.label(store, run.run_id, name=name, note=note, add=added, remove=gone)
 
     _try(save, "Saved")
 
@@ -126,7 +124,7 @@ def _trash(chosen: Sequence[RunReader]) -> None:
         sure = st.button("Yes, move it" if count == 1 else "Yes, move them", key="trash")
     if sure:
         store = Store(session.links().store)
-        _try(lambda: [manage.trash(store, run.run_id) for run in chosen], "Moved to the trash")
+        _try(lambda: manage.trash(store, *(run.run_id for run in chosen)), "Moved to the trash")
 
 
 def _restore() -> None:
@@ -144,7 +142,7 @@ def _restore() -> None:
             select_all=False,
         )
         if st.button("Bring back", icon=":material/restore_from_trash:", disabled=not back):
-            _try(lambda: [manage.restore(store, run_id) for run_id in back], "Brought back")
+            _try(lambda: manage.restore(store, *back), "Brought back")
 
 
 def _try(act: Callable[[], object], done: str) -> None:

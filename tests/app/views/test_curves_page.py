@@ -409,7 +409,7 @@ def test_a_run_gets_a_name_is_found_by_it_and_goes_to_the_trash_and_back(own: Pa
     next(field for field in app.text_input if field.label == "Name").input("the good one")
     next(button for button in app.button if button.label == "Save").click().run()
     assert RunReader(own / PENDULUM_TOM).labels.name == "the good one"
-    manage.tag(Store(own), PENDULUM_TOM, add=["keep"])
+    manage.label(Store(own), PENDULUM_TOM, add=["keep"])
     found = curves("Runs", tag="keep", find="GOOD")
     assert found.dataframe[0].value["run"].tolist() == [PENDULUM_TOM]
     click(app, "trash")
@@ -430,8 +430,8 @@ def test_a_tick_in_the_table_is_an_eye(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_tags_of_several_runs_are_those_they_share_and_others_stay(own: Path) -> None:
-    manage.tag(Store(own), SEEDS[0], add=["ours", "shared", "gone"])
-    manage.tag(Store(own), SEEDS[1], add=["shared", "gone"])
+    manage.label(Store(own), SEEDS[0], add=["ours", "shared", "gone"])
+    manage.label(Store(own), SEEDS[1], add=["shared", "gone"])
     app = curves("Runs")
     app.multiselect(key="labelled").set_value(list(SEEDS)).run()
     tags = next(part for part in app.multiselect if part.label == "Tags of these 2 runs")

@@ -45,7 +45,7 @@ def test_tables(record, tmp_path: Path):
 
 def test_json_holds_everything_but_arrays(store: Store, record, tmp_path: Path):
     run = record()
-    manage.note(store, "run", "kept")
+    manage.label(store, "run", note="kept")
     content = json.loads(export(run, "json", tmp_path).read_text())
     assert content["description"] == run.config
     assert content["labels"]["note"] == "kept"
@@ -108,7 +108,7 @@ def test_a_recording_is_made_from_the_files(record, tmp_path: Path):
 
 def test_a_small_copy_reads_like_the_run(store: Store, record, tmp_path: Path):
     run = record()
-    manage.rename(store, "run", "shown")
+    manage.label(store, "run", name="shown")
     small = RunReader(export_small(run, tmp_path))
     assert small.is_run
     assert small.problems == []

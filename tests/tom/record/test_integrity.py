@@ -359,7 +359,7 @@ def test_what_people_change_afterwards_and_old_runs_without_digests_are_no_probl
     record, store: Store
 ):
     run = record()
-    manage.tag(store, "run", ["good"])
+    manage.label(store, "run", add=["good"])
     checkpoint.save(run.path / checkpoint.FOLDER, 1000, {"a": 1})
     manage.prune(run, 0)
     assert verify(run) == []

@@ -20,39 +20,39 @@ def files(folder: Path) -> dict[str, bytes]:
 def test_labels_are_kept_and_read_back(store: Store, record):
     record("run", events()[:3])
     assert store.run("run").labels == Labels()
-    manage.rename(store, "run", " My best hopper ☺ ")
-    manage.tag(store, "run", add=["paper", "check", "paper"])
-    manage.note(store, "run", "first line\nsecond line")
-    manage.tag(store, "run", add=["late"], remove=["check"])
+    manage.label(store, "run", name=" My best hopper ☺ ")
+    manage.label(store, "run", add=["paper", "check", "paper"])
+    manage.label(store, "run", note="first line\nsecond line")
+    manage.label(store, "run", add=["late"], remove=["check"])
     read = store.run("run")
     assert read.labels == Labels("My best hopper ☺", ("paper", "late"), "first line\nsecond line")
     assert read.problems == []
-    assert manage.rename(store, "run", "") == Labels("", ("paper", "late"), read.labels.note)
+    assert manage.label(store, "run", name="") == Labels("", ("paper", "late"), read.labels.note)
 
 
 def test_a_running_run_can_be_labelled(store: Store):
     with Recorder(RunWriter.create(store, "run", Config)):
-        assert manage.note(store, "run", "watch this").note == "watch this"
+        assert manage.label(store, "run", note="watch this").note == "watch this"
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        lambda s: manage.rename(s, "run", "x" * (NAME_LENGTH + 1)),
-        lambda s: manage.rename(s, "run", "two\nlines"),
-        lambda s: manage.rename(s, "run", "\x1b[31mred"),
-        lambda s: manage.note(s, "run", "bell \a"),
-        lambda s: manage.note(s, "run", "x" * 5000),
-        lambda s: manage.tag(s, "run", add=["  "]),
-        lambda s: manage.tag(s, "run", add=[f"t{i}" for i in range(21)]),
-        lambda s: manage.tag(s, "run", remove=["nope"]),
-        lambda s: manage.note(s, "runn", "x"),
-        lambda s: manage.note(s, "../run", "x"),
+        lambda s: manage.label(s, "run", name="x" * (NAME_LENGTH + 1)),
+        lambda s: manage.label(s, "run", name="two\nlines"),
+        lambda s: manage.label(s, "run", name="\x1b[31mred"),
+        lambda s: manage.label(s, "run", note="bell \a"),
+        lambda s: manage.label(s, "run", note="x" * 5000),
+        lambda s: manage.label(s, "run", add=["  "]),
+        lambda s: manage.label(s, "run", add=[f"t{i}" for i in range(21)]),
+        lambda s: manage.label(s, "run", remove=["nope"]),
+        lambda s: manage.label(s, "runn", note="x"),
+        lambda s: manage.label(s, "../run", note="x"),
     ],
 )
 def test_bad_labels_change_nothing(store: Store, record, change):
     record("run", events()[:3])
-    manage.tag(store, "run", add=["kept"])
+    manage.label(store, "run", add=["kept"])
     before = files(store.path)
     with pytest.raises(UserError):
         change(store)
@@ -67,19 +67,19 @@ def test_damaged_labels_are_a_problem_and_never_written_over(store: Store, recor
     assert run.labels == Labels()
     assert "labels.json cannot be read" in run.problems[0]
     with pytest.raises(UserError, match="damaged"):
-        manage.rename(store, "run", "new")
+        manage.label(store, "run", name="new")
     assert path.read_text() == content
 
 
 def test_trash_and_restore_move_a_run_whole(store: Store, record):
     before = files(record("run", events()[:600]).path)
     record("other", events()[:3])
-    place = manage.trash(store, "run")
+    [place] = manage.trash(store, "run")
     assert place == store.path / ".trash" / "run"
     assert [r.run_id for r in store.runs()] == ["other"]
     assert store.problems == []
     assert manage.trashed(store) == ["run"]
-    restored = files(manage.restore(store, "run"))
+    restored = files(*manage.restore(store, "run"))
     assert restored.pop(".writer") != before.pop(".writer"), "whoever still writes it must stop"
     assert restored == before
     assert manage.trashed(store) == []

@@ -126,7 +126,7 @@ def test_fetch_keeps_labels_and_what_is_further_here(bucket: Bucket, record, tmp
     here.ensure_writable()
     assert fetch_run(bucket, "run", here) == FETCHED
     assert fetch_run(bucket, "run", here) == SAME
-    manage.tag(here, "run", add=["mine"])
+    manage.label(here, "run", add=["mine"])
     (run.path / "status.json").write_text(json.dumps(status))
     attempt.put(run.path)
     assert fetch_run(bucket, "run", here) == FETCHED

@@ -34,7 +34,7 @@ def here(tmp_path: Path, record) -> Store:
     store = Store(tmp_path / "here")
     shutil.copytree(record("run", events()[:600]).path, store.path / "run")
     say(store.run("run"), "stopped", 5)
-    manage.tag(store, "run", add=["mine"])
+    manage.label(store, "run", add=["mine"])
     return store
 
 
