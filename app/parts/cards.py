@@ -14,8 +14,7 @@ from app.theme import learner_colour, learner_label
 from tom import readable
 from tom.analysis.settings import changed, telling_presets
 from tom.errors import UserError
-from tom.record import small_copy
-from tom.record.reader import RunReader
+from tom.record.reader import SMALL_COPY, RunReader
 from tom.record.store import Store
 
 COLUMNS = 3
@@ -116,7 +115,7 @@ def progress_line(run: RunReader) -> str:
     status = run.status
     steps = f"{status.env_step:,} of {status.total:,} steps"
     if run.small_copy:
-        return f"{steps} · {small_copy.NAME}"
+        return f"{steps} · {SMALL_COPY}"
     if status.alive:
         return f"{steps} · {status.phase}" if status.phase else steps
     if status.shown == "dead":

@@ -16,10 +16,9 @@ from tom.config import flat
 from tom.errors import UserError, unknown
 from tom.harmless import terminal
 from tom.readable import score, short
-from tom.record import RunReader, Status, Store, manage, small_copy
+from tom.record import RunReader, Store, manage
 from tom.record.export import EXPORTERS, export, export_rows, export_small
 from tom.record.files import plain
-from tom.record.labels import Labels
 from tom.record.layout import WEIGHINGS
 from tom.record.thin import OPTIONAL, SERIES
 
@@ -63,13 +62,13 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     two = verb("diff", diff, "settings, versions and results in which two runs differ")
     two.add_argument("first", metavar="RUN")
     two.add_argument("second", metavar="RUN")
-    named = verb("rename", rename, 'give a run a display name ("" takes it away)', "1")
+    named = verb("rename", label, 'give a run a display name ("" takes it away)', "1")
     named.add_argument("name", metavar="NAME")
-    tagged = verb("tag", tag, "add tags to a run, or remove some", "1")
-    tagged.add_argument("tags", metavar="TAG", nargs="*")
+    tagged = verb("tag", label, "add tags to a run, or remove some", "1")
+    tagged.add_argument("add", metavar="TAG", nargs="*")
     tagged.add_argument("--remove", metavar="TAG", nargs="+", default=[], help="take these away")
-    noted = verb("note", note, 'give a run a note ("" takes it away)', "1")
-    noted.add_argument("text", metavar="TEXT")
+    noted = verb("note", label, 'give a run a note ("" takes it away)', "1")
+    noted.add_argument("note", metavar="TEXT")
     verb("trash", trash, "move runs into the store's .trash/, or list what is there", "*")
     verb("restore", restore, "move runs back out of the trash", "+")
     verb("verify", verify, "read every file of runs [all]; 1 if any is damaged", "*")
@@ -135,9 +134,8 @@ def list_runs(args: argparse.Namespace) -> int:
     runs = _chosen(store, ())
     print_problems(store)
     _check_filters(args, runs)
-    read = [(run, run.status) for run in runs]  # each status once: there may be a thousand
-    shown = [(run, status) for run, status in read if _wanted(run, status, args)]
-    rows = [_row(run, status) for run, status in shown]
+    shown = [run for run in runs if _wanted(run, args)]
+    rows = list(map(_row, shown))
     if args.json:
         print(json.dumps(rows))
         return 0
@@ -145,7 +143,7 @@ def list_runs(args: argparse.Namespace) -> int:
         "run": [row["run_id"] for row in rows],
         "name": [row["name"] for row in rows],
         "tags": [", ".join(row["tags"]) for row in rows],
-        "state": [small_copy.shown(status, run.small_copy) for run, status in shown],
+        "state": [run.shown for run in shown],
         "step": [str(row["env_step"]) for row in rows],
         "last return": [score(row["last_return"]) for row in rows],
         "best return": [score(row["best_return"]) for row in rows],
@@ -161,7 +159,7 @@ def show_run(args: argparse.Namespace) -> int:
     from tom.data.card import sentence
     from tom.record.task_record import card_of  # tasks take a second to import
 
-    row, card = _row(run, run.status), card_of(run)
+    row, card = _row(run), card_of(run)
     if args.json:
         more = {"note": run.labels.note, "description": run.config, "card": plain(card)}
         print(json.dumps({**row, **more}, allow_nan=False))
@@ -217,18 +215,18 @@ def _check_filters(args: argparse.Namespace, runs: Sequence[RunReader]) -> None:
             raise unknown(kind, name, dict.fromkeys([*ours, *recorded]))
 
 
-def _wanted(run: RunReader, status: Status, args: argparse.Namespace) -> bool:
-    values = {"env": run.env, "learner": run.learner, "state": status.shown}
+def _wanted(run: RunReader, args: argparse.Namespace) -> bool:
+    values = {"env": run.env, "learner": run.learner, "state": run.status.shown}
     same = all(getattr(args, name) in (None, value) for name, value in values.items())
     return same and (args.tag is None or args.tag in run.labels.tags)
 
 
-def _row(run: RunReader, status: Status) -> dict[str, Any]:
+def _row(run: RunReader) -> dict[str, Any]:
     return {
-        **summary(run, status),
+        **summary(run),
         "name": run.labels.name,
         "tags": list(run.labels.tags),
-        "state": status.shown,
+        "state": run.status.shown,
         "problems": run.problems,
         "small_copy": run.small_copy,
         "left_out": list(run.left_out),
@@ -244,20 +242,9 @@ def _text(value: Any) -> str:
 # Labels and the trash
 
 
-def rename(args: argparse.Namespace) -> int:
-    return _labelled(args, manage.label(Store(args.store), args.run_id, name=args.name))
-
-
-def tag(args: argparse.Namespace) -> int:
-    store = Store(args.store)
-    return _labelled(args, manage.label(store, args.run_id, add=args.tags, remove=args.remove))
-
-
-def note(args: argparse.Namespace) -> int:
-    return _labelled(args, manage.label(Store(args.store), args.run_id, note=args.text))
-
-
-def _labelled(args: argparse.Namespace, labels: Labels) -> int:
+def label(args: argparse.Namespace) -> int:
+    given = {n: getattr(args, n) for n in ("name", "note", "add", "remove") if hasattr(args, n)}
+    labels = manage.label(Store(args.store), args.run_id, **given)
     tags = f" [{', '.join(labels.tags)}]" if labels.tags else ""
     first = f"{args.run_id}: {labels.name or 'no name'}{tags}"
     return _output(args, asdict(labels), [first, *labels.note.splitlines()])

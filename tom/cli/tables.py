@@ -10,7 +10,7 @@ from rich.text import Text
 
 from tom import readable
 from tom.harmless import is_number, terminal, terminal_lines
-from tom.record import RunReader, Status, Store
+from tom.record import RunReader, Store
 
 WIDTH = 1000  # in a file or a pipe, where a row is one line
 
@@ -46,9 +46,9 @@ def print_problems(store: Store) -> None:
         print(terminal(problem), file=sys.stderr)
 
 
-def summary(run: RunReader, status: Status | None = None) -> dict[str, Any]:
-    """A run's last and best return and its folder; `status` is read if None."""
-    status = status or run.status
+def summary(run: RunReader) -> dict[str, Any]:
+    """A run's last and best return and its folder."""
+    status = run.status
     return {
         "run_id": run.run_id,
         "env": run.env,

@@ -19,13 +19,17 @@ from tom.data.transitions import Transitions
 from tom.data.unpack import DAMAGE, cannot_read_now, read_arrays
 from tom.errors import reason
 from tom.events import Episode
-from tom.record import checkpoint, decode, labels, layout, small_copy, status
+from tom.record import checkpoint, decode, labels, layout, status
 from tom.record.decode import Profiles, read_table
 from tom.record.files import modified, read_json, read_json_lines
 from tom.record.labels import Labels
 from tom.record.status import Status
 
 T = TypeVar("T")
+
+THINNED = "thinned"
+"""what the `config.json` of a small copy (`thin`) has in addition"""
+SMALL_COPY = "a small copy"
 
 Part = Literal[
     "facts", "metrics", "profiles", "notices", "snapshot", "episodes", "pictures", "policies",
@@ -106,13 +110,9 @@ class RunReader:
     def preset(self) -> str:
         return str(self.config.get("preset", "?"))
 
-    @property
+    @cached_property
     def settings(self) -> Settings:
         """The whole configuration by dotted path, values as text."""
-        return self._settings
-
-    @cached_property
-    def _settings(self) -> Settings:
         return in_words(self.config.get("config"))
 
     @property
@@ -132,17 +132,17 @@ class RunReader:
     @property
     def small_copy(self) -> bool:
         """Whether it is a small copy (`tom runs export --small`), which cannot be resumed."""
-        return small_copy.is_one(self.config)
+        return THINNED in self.config
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """The parts of the run that this small copy lacks; empty for a whole run."""
-        return small_copy.left_out(self.config)
+        """The parts of the run that this small copy lacks (of `other ...` it has some)."""
+        return tuple(self.config.get(THINNED, {}).get("left_out", ()))
 
     @property
     def shown(self) -> str:
         """The state in words: `finished`, or `finished (a small copy)`."""
-        return small_copy.shown(self.status, self.small_copy)
+        return f"{self.status.shown} ({SMALL_COPY})" if self.small_copy else self.status.shown
 
     @cached_property
     def status(self) -> Status:

@@ -50,7 +50,7 @@ class Store:
 
         Raises UserError if the store cannot be read.
         """
-        names = [n for n in self._names() if n not in layout.BESIDE_RUNS and n[0] != "."]
+        names = [n for n in self._folders() if n not in layout.BESIDE_RUNS and n[0] != "."]
         return [*names, *(n for n in layout.BESIDE_RUNS if (self.path / n).is_symlink())]
 
     def look(self, name: str) -> RunReader:
@@ -64,7 +64,7 @@ class Store:
     def recent(self, seconds: float) -> list[str]:
         """Ids of the runs whose status was written in the last `seconds`; one stat call per run."""
         since = time.time() - seconds
-        names = [name for name in self._names() if layout.RUN_ID.fullmatch(name)]
+        names = [name for name in self._folders() if layout.RUN_ID.fullmatch(name)]
         return [n for n in names if modified(self.path / n / layout.STATUS) >= since * 1e9]
 
     def run(self, run_id: str) -> RunReader:
@@ -93,20 +93,6 @@ class Store:
                 f"run '{run_id}' is a link, which {self.path}/ may not hold: not followed"
             )
         return path
-
-    def has_folder(self, name: str) -> bool:
-        """Whether `name` is a valid run id with a folder."""
-        return layout.RUN_ID.fullmatch(name) is not None and self.resolve(name).is_dir()
-
-    @property
-    def studies(self) -> Path:
-        """The folder of the studies beside the runs. Raises UserError as `beside` does."""
-        return self.beside(layout.STUDIES)
-
-    @property
-    def views(self) -> Path:
-        """The folder of the studio's short links. Raises UserError as `beside` does."""
-        return self.beside(layout.VIEWS)
 
     def beside(self, name: str) -> Path:
         """The folder `name` of layout.BESIDE_RUNS, which need not exist.
@@ -163,7 +149,7 @@ class Store:
         if not os.access(self.path, os.W_OK | os.X_OK):
             raise UserError(f"cannot write to the store {self.path}: name another with --store")
 
-    def _names(self) -> list[str]:
+    def _folders(self) -> list[str]:
         try:
             with os.scandir(self.path) as entries:
                 return sorted(entry.name for entry in entries if entry.is_dir())

@@ -16,11 +16,11 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from tom.record import checkpoint, decode, layout, small_copy
+from tom.record import checkpoint, decode, layout
 from tom.record.decode import write_table
 from tom.record.files import json_line, plain, replace_json, size_of, whole_folder
 from tom.record.integrity import write_digests
-from tom.record.reader import RunReader, at_or_before
+from tom.record.reader import THINNED, RunReader, at_or_before
 from tom.record.status import Status
 from tom.spread import spread
 
@@ -136,7 +136,7 @@ def _description(reader: RunReader, left_out: Collection[str]) -> dict[str, Any]
         "episodes_of_an_evaluation": 1,
         "left_out": list(left_out),
     }
-    return {**config, small_copy.KEY: note}
+    return {**config, THINNED: note}
 
 
 def _without_places(made: Mapping[str, Any]) -> dict[str, Any]:
