@@ -128,7 +128,7 @@ def _all_parts(rng: np.random.Generator) -> Events:
 def _record(store: Store, events: Events, *, rerun: bool = False) -> float:
     """Mean CPU milliseconds for 250 steps of `events`."""
     config = OnlineConfig(env="hopper", learner="tom", steps=CYCLE * CYCLES)
-    writer = RunWriter.create(store, store.new_run_id("bench", "tom", 0), config)
+    writer = RunWriter.create(store, None, config)
     given = [event for n in range(1, CYCLES + 1) for event in events(CYCLE * n)]
     recorder = Recorder(writer, RerunSink(writer.path) if rerun else None)
     begun = process_time()
@@ -141,7 +141,7 @@ def _record(store: Store, events: Events, *, rerun: bool = False) -> float:
 def _heartbeats(store: Store, seconds: float) -> float:
     """CPU milliseconds of the status updates in `seconds` of training."""
     config = OnlineConfig(env="hopper", learner="tom")
-    writer = RunWriter.create(store, store.new_run_id("bench", "tom", 0), config)
+    writer = RunWriter.create(store, None, config)
     recorder = Recorder(writer)
     begun = process_time()
     for _ in range(CYCLES):

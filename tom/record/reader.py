@@ -36,6 +36,15 @@ Part = Literal[
     "buffer", "model", "scene", "recordings",
 ]  # fmt: skip
 """what `RunReader.version` tells versions of; facts are configuration, status and labels"""
+FILES: dict[str, tuple[str, ...]] = {
+    "facts": (layout.CONFIG, layout.STATUS, layout.LABELS),
+    "metrics": (layout.METRICS, layout.METRICS_TABLE),
+    "profiles": (layout.PROFILES,),
+    "notices": (layout.NOTICES,),
+    "scene": (layout.SCENE,),
+    "recordings": ("",),  # the folder itself, which every page needs for every run
+}
+"""the files of those parts whose names are fixed"""
 Version = tuple[tuple[int, int], ...]
 """(mtime_ns, size) of each file; (0, 0) for a missing one"""
 
@@ -284,14 +293,6 @@ class RunReader:
 
     def _files(self, part: Part, step: int) -> Sequence[str]:
         match part:
-            case "facts":
-                return layout.CONFIG, layout.STATUS, layout.LABELS
-            case "metrics":
-                return layout.METRICS, layout.METRICS_TABLE
-            case "profiles":
-                return (layout.PROFILES,)
-            case "notices":
-                return (layout.NOTICES,)
             case "snapshot":
                 return (layout.snapshot(step),)
             case "episodes":
@@ -308,10 +309,8 @@ class RunReader:
                 found = [path for place in places for path in checkpoint.folders(place)]
                 states = [str((path / checkpoint.STATE).relative_to(self.path)) for path in found]
                 return layout.CONFIG, *states
-            case "scene":
-                return (layout.SCENE,)
-            case "recordings":  # the folder itself, which every page needs for every run
-                return ("",)
+            case _:
+                return FILES[part]
 
     def _segments(self, states: bool) -> Iterator[Recorded]:
         """Every segment of the buffer up to the first gap."""

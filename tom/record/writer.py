@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -71,12 +72,12 @@ class RunWriter:
     def create(
         cls,
         store: Store,
-        run_id: str,
+        run_id: str | None,
         config: RunConfig,
         matmul: object = None,
         command: str = "",
     ) -> "RunWriter":
-        """The writer of a new run.
+        """The writer of a new run; without an id a generated one, also if two start at once.
 
         `matmul` is the result of the probe for fast matrix products (any JSON value). The folder
         appears whole, with `config.json`, or not at all. Raises UserError if the id is invalid or
@@ -84,6 +85,10 @@ class RunWriter:
         """
         from tom.record.task_record import description, save_scene  # imports a simulator: a second
 
+        while run_id is None:
+            generated = store.new_run_id(config.env, config.learner, config.seed)
+            with suppress(TakenError):
+                return cls.create(store, generated, config, matmul, command)
         path = store.resolve(run_id)
         store.ensure_writable()
         taken = TakenError(f"run '{run_id}' exists already: choose another run id")

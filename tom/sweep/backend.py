@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 from tom.errors import UserError
 from tom.record import RunReader, Store, checkpoint, layout, lock
@@ -26,51 +26,6 @@ LEASE_S = 600.0
 A live one is put every 10 s, but its status after all else: a run of Humanoid that goes on puts two
 checkpoints of 200 MB first, which is ten minutes at 6 Mbit/s. Its end is tried for as long.
 """
-
-
-class Backend(Protocol):
-    """The runs of a sweep. `store` holds them, or the parts of them that a driver needs."""
-
-    store: Store
-
-    def update(self, run_id: str, *, now: bool = False) -> None:
-        """Update the parts of a run in `store`: at once if `now`, else when an update is due.
-
-        Raises OSError if the runs cannot be reached.
-        """
-        ...
-
-    def command(self, run_id: str, options: Sequence[str]) -> list[str]:
-        """The arguments of `python -m` that start the training `tom train OPTIONS`."""
-        ...
-
-    def writer(self, run: RunReader) -> Literal["here", "away"] | None:
-        """Whether a process of this machine, or perhaps of another one, is writing the run."""
-        ...
-
-    def ended(self, run_id: str) -> None:
-        """Note that the process that was last started for the run was seen to end.
-
-        Raises OSError if the runs cannot be reached.
-        """
-        ...
-
-    def keep_log(self, log: Path) -> str:
-        """Keep the log of a failed training; returns its place after the end of the sweep."""
-        ...
-
-
-def open_backend(store: Path | str, trials: Sequence[Trial]) -> AbstractContextManager[Backend]:
-    """The storage of the runs: a folder or s3://BUCKET/PREFIX.
-
-    Raises UserError if an object store cannot be reached.
-    """
-    if isinstance(store, Path):
-        return nullcontext(FolderBackend(Store(store)))
-    try:
-        return BucketBackend(Bucket.open(store), trials)
-    except OSError as error:
-        raise UserError(f"{store}: {error}") from error
 
 
 class Lease:
@@ -102,20 +57,31 @@ class Lease:
 
 
 class FolderBackend:
-    """A run store on a disk that all trainings can write to."""
+    """The runs of a sweep in a folder that all trainings can write to: `store`.
+
+    Of a bucket, `store` holds the parts of them that a driver needs. Every method raises OSError if
+    the runs cannot be reached.
+    """
 
     def __init__(self, store: Store, clock: Clock = time.monotonic) -> None:
         self.store = store
         self._lease = Lease(DEAD_AFTER_S, clock)
 
     def update(self, run_id: str, *, now: bool = False) -> None:
-        """Do nothing: the folder itself is read, so it is never out of date."""
+        """Update the parts of a run in `store`: at once if `now`, else when an update is due.
+
+        The folder itself is read, so it is never out of date.
+        """
 
     def command(self, run_id: str, options: Sequence[str]) -> list[str]:
+        """The arguments of `python -m` that start the training `tom train OPTIONS`."""
         return ["tom", "train", *options, "--no-rerun", f"--store={self.store.path.resolve()}"]
 
     def writer(self, run: RunReader) -> Literal["here", "away"] | None:
-        """By the lock, or by another machine's heartbeat that was seen to change a moment ago."""
+        """Whether a process of this machine, or perhaps of another one, is writing the run.
+
+        By the lock, or by another machine's heartbeat that was seen to change a moment ago.
+        """
         here = lock.written_here(run.path)
         if lock.held(run.path):  # a shared file system may also show another machine's lock
             return "away" if here is False else "here"
@@ -124,13 +90,17 @@ class FolderBackend:
         return "away" if self._lease.holds(run.run_id) else None
 
     def ended(self, run_id: str) -> None:
-        """Do nothing: the lock shows it, or on another machine the heartbeat."""
+        """Note that the process that was last started for the run was seen to end.
+
+        In a folder the lock shows it, or on another machine the heartbeat.
+        """
 
     def keep_log(self, log: Path) -> str:
+        """Keep the log of a failed training; returns its place after the end of the sweep."""
         return str(log)
 
 
-class BucketBackend(AbstractContextManager["BucketBackend", None]):
+class BucketBackend(FolderBackend, AbstractContextManager["BucketBackend", None]):
     """The runs of `trials` in `bucket`.
 
     `store` is a temporary folder of this machine. For every run it holds the settings, the status
@@ -141,13 +111,12 @@ class BucketBackend(AbstractContextManager["BucketBackend", None]):
         self, bucket: Bucket, trials: Sequence[Trial], clock: Clock = time.monotonic
     ) -> None:
         """Raises OSError if the bucket does not answer."""
-        self._bucket = bucket
         self._folder = Path(tempfile.mkdtemp(prefix="tom-sweep-"))
-        self._clock = clock
+        super().__init__(Store(self._folder))
+        self._bucket, self._clock = bucket, clock
         self._next: dict[str, float] = {}
         self._lease = Lease(LEASE_S, clock)
         self._own = secrets.token_hex(attempts.OWN_BYTES)  # the attempts of this driver end with it
-        self.store = Store(self._folder)
         try:
             for trial in trials:
                 self.update(trial.run_id, now=True)
@@ -219,3 +188,18 @@ class BucketBackend(AbstractContextManager["BucketBackend", None]):
         for name in names:
             if name.startswith(start) and name.endswith(f"/{checkpoint.MANIFEST}"):
                 (checkpoints / name.removeprefix(start)).parent.mkdir(parents=True)
+
+
+def open_backend(
+    store: Path | str, trials: Sequence[Trial]
+) -> AbstractContextManager[FolderBackend]:
+    """The storage of the runs: a folder or s3://BUCKET/PREFIX.
+
+    Raises UserError if an object store cannot be reached.
+    """
+    if isinstance(store, Path):
+        return nullcontext(FolderBackend(Store(store)))
+    try:
+        return BucketBackend(Bucket.open(store), trials)
+    except OSError as error:
+        raise UserError(f"{store}: {error}") from error

@@ -19,7 +19,7 @@ from tom import plugins
 from tom.errors import BAD_INPUT, FAILED
 from tom.record import RunReader, checkpoint, layout
 from tom.record.versions import ACCEPT
-from tom.sweep.backend import Backend
+from tom.sweep.backend import FolderBackend
 from tom.sweep.engine import Engine, Process
 from tom.training.plan import Trial, is_done, same_run, steps_beyond
 
@@ -55,7 +55,7 @@ class Driver:
 
     def __init__(
         self,
-        backend: Backend,
+        backend: FolderBackend,
         trials: Sequence[Trial],
         engine: Engine,
         low_bytes: float = LOW_BYTES,

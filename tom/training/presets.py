@@ -83,14 +83,10 @@ BY_ENV: dict[str, dict[str, dict[str, Any]]] = {
             "sac": {"target_entropy": -2.0},
         },
     },
-    "smoke": {},
 }
 
+# All presets of road-and-rocks but this one are the paper's.
 OF_ROAD: dict[str, dict[str, Any]] = {
-    "paper": {},
-    "mended": {},
-    "released": {},
-    "mbpo": {},
     "smoke": {
         "steps": 600,
         "fit_every": 300,
@@ -118,7 +114,7 @@ def resolve(
     if preset not in PRESETS:
         raise unknown("preset", preset, PRESETS)
     if env == ROAD:
-        config = RoadConfig(learner=learner).but(**OF_ROAD[preset])
+        config = RoadConfig(learner=learner).but(**OF_ROAD.get(preset, {}))
     else:
         config = _online(env, learner, preset)
     config = config_type(env, learner).model_validate(config.model_dump())

@@ -18,7 +18,7 @@ from tom.offline import Offline
 from tom.record import RunReader, Store, checkpoint
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import RerunSink
-from tom.record.writer import RunWriter, TakenError
+from tom.record.writer import RunWriter
 from tom.training.sac_recording import SacRecording
 from tom.training.watch import Watch
 
@@ -101,24 +101,12 @@ def train(
     keep_freed_memory()
     torch.set_num_threads(config.threads)
     matmul = choose_matmul(config.matmul).record()
-    writer = _new_writer(store, run_id, config, matmul=matmul, command=options.get("command", ""))
+    writer = RunWriter.create(store, run_id, config, matmul, options.get("command", ""))
     sink = RerunSink(writer.path) if options.get("rerun", True) else None
     with Recorder(writer, sink) as recorder:
         training = make_training(config)
         record(training, make_watch(config, training), recorder, writer, options)
     return RunReader(writer.path)
-
-
-def _new_writer(store: Store, run_id: str | None, config: AnyConfig, **options: Any) -> RunWriter:
-    """The writer of a new run; a generated name is free, even if two runs start at once."""
-    if run_id is not None:
-        return RunWriter.create(store, run_id, config, **options)
-    while True:
-        made_up = store.new_run_id(config.env, config.learner, config.seed)
-        try:
-            return RunWriter.create(store, made_up, config, **options)
-        except TakenError:
-            continue
 
 
 def record(
