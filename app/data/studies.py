@@ -10,7 +10,6 @@ import pandas as pd
 from PIL import Image
 
 from tom.errors import UserError
-from tom.record import layout
 from tom.record.files import read_json
 from tom.record.store import Store
 from tom.reports.report import WORDS
@@ -64,7 +63,7 @@ class Study:
 def folders(store: Path | str) -> tuple[Path, ...]:
     """The folders of studies: those of this machine, then those in the store."""
     try:
-        return FOLDER, Store(store).beside(layout.STUDIES)
+        return FOLDER, Store(store).studies
     except UserError:  # a link, which is named among what is no run
         return (FOLDER,)
 

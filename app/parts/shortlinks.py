@@ -13,7 +13,6 @@ import streamlit as st
 
 from app import session, text
 from tom.errors import UserError
-from tom.record import layout
 from tom.record.files import read_json, replace_json
 from tom.record.store import Store
 
@@ -32,7 +31,7 @@ def save(store: Path | str, page: str, query: str) -> str:
             "copy the long address"
         )
     code = hashlib.sha256(f"{page}?{query}".encode()).hexdigest()[:8]
-    folder = Store(store).beside(layout.VIEWS)
+    folder = Store(store).views
     try:
         folder.mkdir(exist_ok=True)
         replace_json(folder / f"{code}.json", {"page": page, "query": query}, sync=False)
@@ -46,7 +45,7 @@ def save(store: Path | str, page: str, query: str) -> str:
 def target(store: Path | str, code: str) -> str | None:
     """The address of a code on this server; None if there is no such view."""
     try:
-        path = Store(store).beside(layout.VIEWS) / f"{code}.json"
+        path = Store(store).views / f"{code}.json"
         if not CODE.fullmatch(code) or path.is_symlink():
             return None
         held = read_json(path)

@@ -19,7 +19,6 @@ from tom.data.transitions import Transitions
 from tom.envs.scene import Model
 from tom.envs.task import Task
 from tom.errors import UserError
-from tom.record import layout
 from tom.record.reader import RunReader
 from tom.record.store import Store
 from tom.record.task_record import scene_of, task_of
@@ -151,7 +150,7 @@ class StatesFrame(Frame):
 
 def reader_of(store: str, name: str) -> RunReader:
     """The run or data set `name`. Raises UserError if there is none."""
-    if layout.RUN_ID.fullmatch(name) and Store(store).resolve(name).is_dir():
+    if Store(store).has_folder(name):
         return Store(store).run(name)
     return weighings.dataset(store, name)
 

@@ -94,6 +94,20 @@ class Store:
             )
         return path
 
+    def has_folder(self, name: str) -> bool:
+        """Whether `name` is a valid run id with a folder."""
+        return layout.RUN_ID.fullmatch(name) is not None and self.resolve(name).is_dir()
+
+    @property
+    def studies(self) -> Path:
+        """The folder of the studies beside the runs. Raises UserError as `beside` does."""
+        return self.beside(layout.STUDIES)
+
+    @property
+    def views(self) -> Path:
+        """The folder of the studio's short links. Raises UserError as `beside` does."""
+        return self.beside(layout.VIEWS)
+
     def beside(self, name: str) -> Path:
         """The folder `name` of layout.BESIDE_RUNS, which need not exist.
 
