@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -36,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
             chosen = args.run or cinema.most_telling(store)
             return cinema.export(store, chosen, args.cinema, args.theme or "light")
-        studio = Studio(store=store, host=args.host, port=args.port, theme=args.theme)
+        studio = Studio(store, args.host, args.port, args.base_path, args.theme)
         return run(studio, browser=not args.no_browser)
     except (UserError, OSError) as error:
         print(f"tom studio: {terminal(error)}", file=sys.stderr)
@@ -57,7 +58,14 @@ def _parser() -> argparse.ArgumentParser:
         type=int,
         default=None,
         metavar="N",
-        help="port of the pages; the viewers have the next two (free ones)",
+        help="port of the pages [a free one]",
+    )
+    parser.add_argument(
+        "--base-path",
+        type=base_path,
+        default="",
+        metavar="/PATH",
+        help="path of the pages behind a proxy, as JupyterHub and Open OnDemand have one",
     )
     parser.add_argument("--theme", choices=("light", "dark"), help="default: as the browser's")
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
@@ -69,6 +77,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--run", help="of --cinema: the run [the most telling one]")
     return parser
+
+
+def base_path(path: str) -> str:
+    """The path with a slash at its end; empty if there is none. Raises ArgumentTypeError."""
+    if not re.fullmatch(r"(/[\w.~@%+-]+)*/?", path):
+        raise argparse.ArgumentTypeError(f"'{path}' is no path such as /user/me/studio")
+    return f"{path.rstrip('/')}/" if path else ""
 
 
 def _readable(store: Path) -> Path:

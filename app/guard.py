@@ -1,53 +1,58 @@
-"""Access control for Streamlit's server: which pages may connect, and which may act."""
+"""The studio's door: which pages may connect, which may act, and the path before all addresses."""
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import PlainTextResponse
+from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
 
 from app.links import Links
-from tom.machine.address import framing, refusal
+from tom.machine.address import refusal
 
 KEY = "Tom-Studio-Key"
 """the header with the key that the browser gave"""
 OFFERED = "sec-websocket-protocol"
 PREFIX = "tom-studio-key."
 """prefix of the key in the websocket protocols; a key in the address would appear in logs"""
+POLICY = "frame-ancestors 'self'; connect-src 'self' data: blob:"
+"""only the studio shows its pages; a viewer takes what it shows from nowhere else, whatever its
+address says"""
 
 
 class Guard:
-    """ASGI middleware for everything that Streamlit serves."""
+    """ASGI middleware for everything that the studio serves."""
 
     def __init__(self, app: ASGIApp, links: Links) -> None:
         self._app = app
         self._links = links
-        self._framing = framing(links.host, links.port)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
-        elif why := self._refusal(scope):
+            return
+        base, path = self._links.base, scope["path"]
+        asked = Headers(scope=scope).get
+        if why := refusal(asked, self._links.host, proxied=bool(base)):
             answer = PlainTextResponse(why, status_code=403)
             refused = WebSocketClose(1008, why) if scope["type"] == "websocket" else answer
             await refused(scope, receive, send)
-        elif scope["type"] == "websocket":
-            await self._app(_with_key(scope), receive, send)
+        elif f"{path}/" == base:  # addresses in pages are relative to the slash
+            await RedirectResponse(base)(scope, receive, send)
         else:
-            await self._app(scope, receive, self._framed(send))
+            if base and path.startswith(base):  # else the proxy has taken it off
+                scope = {**scope, "root_path": base.rstrip("/")}
+            if scope["type"] == "websocket":
+                await self._app(_with_key(scope), receive, send)
+            else:
+                await self._app(scope, receive, _with_policy(send))
 
-    def _refusal(self, scope: Scope) -> str | None:
-        # The Rerun viewer's page comes from another port and may read only recordings.
-        reads = scope["type"] == "http" and scope["path"].startswith("/rrd/")
-        pages = (self._links.rerun_port,) if reads else ()
-        return refusal(Headers(scope=scope).get, self._links.host, self._links.port, pages)
 
-    def _framed(self, send: Send) -> Send:
-        async def sending(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).append("Content-Security-Policy", self._framing)
-            await send(message)
+def _with_policy(send: Send) -> Send:
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            MutableHeaders(scope=message).append("Content-Security-Policy", POLICY)
+        await send(message)
 
-        return sending
+    return sending
 
 
 def _with_key(scope: Scope) -> Scope:

@@ -1,33 +1,34 @@
-"""The addresses of the studio's servers, passed by the launcher to its processes."""
+"""The store and the addresses of one studio, passed by the launcher to its processes."""
 
 import hashlib
 import json
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Self
-from urllib.parse import quote
+from urllib.parse import quote, urlencode
 
 from app.theme import Mode
 from tom.machine.address import in_url, local_host
-from tom.record.rerun import hub
 
 VARIABLE = "TOM_STUDIO"
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
+LIVE = "live.rrd"
+"""the recording that grows with its run"""
 
 
 @dataclass(frozen=True)
 class Links:
-    """The store and the addresses of one studio; port 0 means that there is no such server."""
+    """The store and the addresses of one studio; without `folder` no server runs."""
 
     store: str = "runs"
     host: str = "127.0.0.1"
     port: int = 0
-    rerun_port: int = 0
-    """the Rerun hub: the web viewer's page and the live recordings"""
-    viser_port: int = 0
-    control: str = ""
-    """the socket through which pages control the viser server"""
+    base: str = ""
+    """the path of the pages behind a proxy, such as `/user/x/studio/`; empty without a proxy"""
+    folder: str = ""
+    """of this launch, for its user only: sockets, logs, the viewer's files"""
     theme: Mode | None = None
     key: str = field(default="", repr=False)
     """a browser with this key may act; new at each launch; if empty, none may"""
@@ -47,56 +48,50 @@ class Links:
         return hashlib.sha256(self.key.encode()).hexdigest()
 
     @property
-    def local_host(self) -> str:
-        """The address under which this machine reaches the host."""
-        return local_host(self.host)
-
-    @property
     def local_only(self) -> bool:
         """Whether only this machine can reach the studio."""
         return self.host in LOOPBACK
 
     @property
+    def control(self) -> str:
+        """The socket through which pages say what the 3D server shows."""
+        return str(Path(self.folder, "control"))
+
+    @property
+    def scenes(self) -> str:
+        """The socket of the 3D server, for the frames of the pages."""
+        return str(Path(self.folder, "scenes"))
+
+    @property
+    def scenes_log(self) -> Path:
+        """What the 3D servers of this launch have printed."""
+        return Path(self.folder, "scenes.log")
+
+    @property
+    def root(self) -> str:
+        """The address of this machine's studio, without a path."""
+        return f"http://{in_url(local_host(self.host))}:{self.port}"
+
+    @property
     def address(self) -> str:
         """The address of the pages."""
-        return f"http://{in_url(self.local_host)}:{self.port}"
+        return f"{self.root}{self.base.rstrip('/')}"
 
     def opened(self, path: str = "") -> str:
         """A page's address for the user, with the key if the user may act."""
         fragment = f"#key={self.key}" if self.local_only else ""
         return f"{self.address}/{path}{fragment}"
 
-    @property
-    def tunnels(self) -> str:
-        """ssh's options that bring the pages and both viewers to another machine, same ports."""
-        ports = (self.port, self.rerun_port, self.viser_port)
-        host = in_url(self.local_host)
-        return " ".join(f"-L {port}:{host}:{port}" for port in ports)
+    def rerun(self, run_id: str, names: Sequence[str], mode: Mode) -> str:
+        """The web viewer's path for recordings of a run (one more after each resume)."""
+        urls = [("url", f"../rrd/{quote(run_id)}/{quote(name)}") for name in names]
+        query = urlencode([*urls, ("persist", "false"), ("notebook", "false"), ("theme", mode)])
+        return f"{self.base or '/'}rerun/?{query}&hide_welcome_screen"
 
-    def rerun_live(self, host: str, run_id: str, mode: Mode) -> str:
-        """The web viewer's address for a live run."""
-        source = hub.live_url(host, self.rerun_port, run_id)
-        return hub.viewer_url(host, self.rerun_port, source, mode)
-
-    def rerun_files(self, host: str, run_id: str, names: Sequence[str], mode: Mode) -> str:
-        """The web viewer's address for a run's recordings (one more after each resume)."""
-        folder = f"http://{host}:{self.port}/rrd/{quote(run_id)}"
-        first, *rest = [f"{folder}/{quote(name)}" for name in names]
-        more = "".join(f"&url={quote(url, safe='')}" for url in rest)
-        return hub.viewer_url(host, self.rerun_port, first, mode) + more
-
-    def rerun_episode(
-        self, host: str, run_id: str, step: int, index: int, horizon: int, mode: Mode
-    ) -> str:
-        """The web viewer's address for one evaluation episode and its ghost."""
-        file = f"http://{host}:{self.port}/rrd/{quote(run_id)}/episode-{step}-{index}-{horizon}.rrd"
-        return hub.viewer_url(host, self.rerun_port, file, mode)
-
-    def viser(self, host: str, client: str, mode: Mode) -> str:
-        """The viser page for `client`, the name used on the control socket.
+    def viser(self, client: str, mode: Mode) -> str:
+        """The path of the viser page for `client`, the name used on the control socket.
 
         The mode is in the address, because the scene server's setting would come too late.
         """
-        socket = quote(f"ws://{host}:{self.viser_port}/{quote(client)}", safe="")
         dark = "&darkMode" if mode == "dark" else ""
-        return f"http://{host}:{self.viser_port}/?websocket={socket}&hideViserLogo{dark}"
+        return f"{self.base or '/'}viser/{quote(client)}/?hideViserLogo{dark}"

@@ -2,7 +2,6 @@
 
 from hmac import compare_digest
 from typing import cast
-from urllib.parse import urlsplit
 from uuid import uuid4
 
 import streamlit as st
@@ -10,7 +9,6 @@ import streamlit as st
 from app.guard import KEY
 from app.links import Links
 from app.theme import Mode
-from tom.machine.address import in_url
 
 DRAWN = "drawn"
 
@@ -35,11 +33,6 @@ def mode() -> Mode:
 def drawn() -> None:
     """Note that a page of this tab has been drawn to its end."""
     st.session_state[DRAWN] = True
-
-
-def host() -> str:
-    """The host under which this browser reaches the studio and its other servers."""
-    return in_url(urlsplit(st.context.url or "").hostname or links().local_host)
 
 
 def may_act() -> bool:

@@ -10,7 +10,7 @@ from threading import Lock
 from cachetools import LRUCache
 from numpy.typing import NDArray
 
-PATH = "/api/arrays"
+PATH = "api/arrays"
 OFFERED = 20_000
 """arrays that are known at a time; each page offers its own again when it is drawn"""
 

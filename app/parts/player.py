@@ -118,7 +118,7 @@ def _ask(wish: Wish, frame: int) -> None:
 def _clock() -> Clock | None:
     """The scene's clock; None also if there is no scene server."""
     links = session.links()
-    if not links.viser_port:
+    if not links.folder:
         return None
     try:
         return clock(links.control, f"{session.client()}{PART}")

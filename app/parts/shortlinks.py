@@ -64,7 +64,7 @@ def nowhere(code: str) -> str:
         f'padding: 0 1rem"><h1>This short link leads nowhere</h1><p>No view is kept as '
         f"<b>{html.escape(code[:40])}</b> in this studio's store. A short link works only where "
         "it was made: with the same store, and as long as its folder <code>.views</code> is "
-        'there. Ask for the long address, or <a href="/">open the studio</a>.</p>'
+        'there. Ask for the long address, or <a href="..">open the studio</a>.</p>'
     )
 
 

@@ -2,7 +2,7 @@
 
 import streamlit as st
 
-from app import session
+from app import session, text
 from app.scenes.control import Choice, Selection, tell
 
 
@@ -13,12 +13,15 @@ def stage(choice: Choice, height: int, part: str = "", *, compact: bool = False)
     small and closed at first, because it would cover the scene.
     """
     links = session.links()
-    if not links.viser_port:
+    if not links.folder:
         st.caption("The 3D scene runs when the studio is started with `tom studio`.")
         return
     client = f"{session.client()}{part}"
     try:
         tell(links.control, client, Selection(choice, session.mode(), compact))
     except OSError:
-        st.warning("The 3D server does not answer; it is started again by itself.")
-    st.iframe(links.viser(session.host(), client, session.mode()), height=height)
+        said = links.scenes_log.read_text(errors="replace").strip().rpartition("\n")[2]
+        st.warning(
+            f"The 3D server does not answer; it is started again by itself. {text.markdown(said)}"
+        )
+    st.iframe(links.viser(client, session.mode()), height=height)

@@ -4,6 +4,7 @@ Only this user can open the socket, so its messages are pickled objects of this 
 """
 
 import logging
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Client, Listener
@@ -14,6 +15,8 @@ from typing import Literal
 
 from app.theme import Mode
 
+START_S = 3.0
+"""seconds that a page waits for the 3D server to start"""
 ANSWER_S = 1.0
 """seconds that a page waits for an answer"""
 REAL_TIME = "real time"
@@ -88,8 +91,11 @@ class Selection:
 def tell(socket: str, page: str, selection: Selection) -> None:
     """Ask the viser server to show `selection` in the frame of `page`.
 
-    Raises OSError if there is no server.
+    Waits for a server that starts. Raises OSError if there is none.
     """
+    until = time.monotonic() + START_S
+    while not Path(socket).exists() and time.monotonic() < until:
+        time.sleep(0.05)
     with Client(socket) as server:
         server.send((page, selection))
 

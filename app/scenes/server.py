@@ -1,31 +1,22 @@
 """The viser server's process: one scene per browser frame, controlled by the pages."""
 
-import gzip
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
-from http import HTTPStatus
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 import viser
 from websockets.asyncio import server
-from websockets.asyncio.server import ServerConnection
-from websockets.http11 import Request, Response
 
 from app.links import Links
 from app.scenes.control import Choice, Clock, ReplayChoice, RoadChoice, Selection, listen
-from app.theme import BACKGROUND
 from tom import plugins
 from tom.errors import UserError
-from tom.machine.address import framing, refusal
 
 if TYPE_CHECKING:
     from app.scenes.frame import Frame
-
-Answer = Callable[[ServerConnection, Request], Response | None]
 
 TICK_S = 1 / 30
 
@@ -39,10 +30,8 @@ class SceneServer:
         self.heard: dict[str, int] = {}
         """by page, its last request that a frame has carried out"""
         self.frames: dict[int, tuple[str, Frame]] = {}
-        with guarded(links):
-            self.server = viser.ViserServer(links.host, links.viser_port, verbose=False)
-        if self.server.get_port() != links.viser_port:  # viser silently takes the next port
-            raise SystemExit(f"port {links.viser_port} is taken")
+        with on_socket(links.scenes):
+            self.server = viser.ViserServer(verbose=False)
         self.server.scene.set_up_direction("+z")
         self.server.on_client_connect(self._connected)
         self.server.on_client_disconnect(self._left)
@@ -90,8 +79,7 @@ class SceneServer:
             frame.client.add_notification("Not shown", str(error), auto_close_seconds=8)
 
     def _connected(self, client: viser.ClientHandle) -> None:
-        # viser has no public attribute for a client's request; its path is the only thing that a
-        # page can set (`?websocket=` in Links.viser).
+        # viser has no public attribute for a client's request; its path names the page.
         request = self.server._websock_server._live_connections[client.client_id].request
         if request is None:  # already disconnected
             return
@@ -136,48 +124,22 @@ def frame_class(choice: Choice) -> "type[Frame]":
 
 
 @contextmanager
-def guarded(links: Links) -> Iterator[None]:
-    """Websocket servers started inside the block answer only the studio's own pages.
+def on_socket(path: str) -> Iterator[None]:
+    """Websocket servers started inside the block listen on a socket that only this user can open.
 
-    viser itself answers every page in a browser and has no option against this.
+    viser listens on a port, where it answers every page in a browser, and has no option for this.
     """
     serve = server.serve
 
-    def guarded_serve(*arguments: Any, process_request: Answer, **options: Any) -> server.serve:
-        first = partial(_admit, links, process_request)
-        return serve(*arguments, process_request=first, **options)
+    def serve_there(handler: Any, _host: str, _port: int, **options: Any) -> server.serve:
+        return serve(handler, unix=True, path=path, **options)
 
-    server.serve = guarded_serve  # pyright: ignore[reportAttributeAccessIssue]
+    Path(path).unlink(missing_ok=True)  # left by a killed server
+    server.serve = serve_there  # pyright: ignore[reportAttributeAccessIssue]
     try:
         yield
     finally:
         server.serve = serve
-
-
-def _admit(
-    links: Links, answer: Answer, connection: ServerConnection, request: Request
-) -> Response | None:
-    """viser's answer to a request, or a refusal; only the studio's pages may embed it."""
-    if why := refusal(request.headers.get, links.host, links.viser_port):
-        return connection.respond(HTTPStatus.FORBIDDEN, why)
-    answered = answer(connection, request)
-    if answered is not None:
-        answered.headers["Content-Security-Policy"] = framing(links.host, links.port)
-        if urlsplit(request.path).path == "/" and answered.status_code == HTTPStatus.OK:
-            # viser's script, which colours the page, takes a second to start.
-            colour = BACKGROUND["dark" if "darkMode" in request.path else "light"]
-            _insert_style(answered, f"html {{ background: {colour} }}")
-    return answered
-
-
-def _insert_style(page: Response, style: str) -> None:
-    packed = page.headers.get("Content-Encoding") == "gzip"
-    html = gzip.decompress(page.body) if packed else page.body
-    html = html.replace(b"<head>", f"<head><style>{style}</style>".encode(), 1)
-    page.body = gzip.compress(html, 1) if packed else html
-    if "Content-Length" in page.headers:
-        del page.headers["Content-Length"]
-        page.headers["Content-Length"] = str(len(page.body))
 
 
 def main() -> None:

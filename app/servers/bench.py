@@ -32,7 +32,7 @@ from app.links import Links
 from app.router import VIEWS
 from app.servers import map_bench
 from app.servers.browser import DRAWN, chromium
-from app.servers.launcher import Studio, servers
+from app.servers.launcher import Studio, serving
 from app.servers.pages import warm
 from tom.cli import Parser
 from tom.cli.tables import show
@@ -154,7 +154,7 @@ def frames(store: Path) -> float:
     config = resolve("inverted-pendulum", "tom", "smoke", {"steps": 400})
     train(config, Store(store), "played", rerun=False)
     _lengthen(store / "played", FITS)
-    with servers(Studio(store=store), Event()) as (links, running), chromium() as browser:
+    with serving(Studio(store=store), Event()) as (links, running), chromium() as browser:
         if running is None:
             raise RuntimeError("the studio did not start")
         page = browser.new_page(viewport={"width": 1280, "height": 900})

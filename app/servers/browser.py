@@ -14,7 +14,7 @@ from PIL import Image
 
 from app.data import readers, road
 from app.parts import widgets
-from app.servers.launcher import Studio, servers
+from app.servers.launcher import Studio, serving
 from app.theme import Mode
 from tom.envs import ROAD
 from tom.errors import UserError
@@ -175,7 +175,7 @@ def take(store: Path, folder: Path) -> int:
 
     Raises UserError if the browser is missing, or if an animation would be too large.
     """
-    with servers(Studio(store=store), Event()) as (links, running), chromium() as browser:
+    with serving(Studio(store=store), Event()) as (links, running), chromium() as browser:
         if running is None:
             return 1
         folder.mkdir(parents=True, exist_ok=True)

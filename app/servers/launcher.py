@@ -1,28 +1,32 @@
-"""Start Streamlit, the Rerun hub and the viser server with their links, and end them together."""
+"""Start the page server with its links, and end it with all that it has started."""
 
+import errno
+import http.client
 import os
 import secrets
 import signal
+import socket
+import subprocess
 import sys
 import tempfile
 import time
 import webbrowser
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 
-from app.links import LOOPBACK, Links
-from app.servers.processes import Server, free_port, is_free, stop
+from app.links import Links
 from app.theme import Mode
 from tom.errors import UserError
-from tom.record.rerun import hub
+from tom.harmless import terminal
+from tom.machine import address, processes
 
 DEFAULT_PORT = 8600
 START_TIMEOUT_S = 60.0
 ATTEMPTS = 3
-"""launches, each on newly found ports, before the studio gives up"""
+"""launches, each on a newly found port, before the studio gives up"""
 RETURNING = {
     "MALLOC_ARENA_MAX": "2",
     "MALLOC_MMAP_THRESHOLD_": "262144",
@@ -30,12 +34,13 @@ RETURNING = {
     "ARROW_DEFAULT_MEMORY_POOL": "system",
 }
 """settings under which a server's threads return what they have freed"""
-LIFE_S = 10.0
-"""a viewer that dies younger than this is not started again"""
 OPEN = (
     "tom studio: reachable from other machines, without a password: runs can be read by everybody "
     "who reaches this host"
 )
+STOP_GRACE_S = 3.0
+LOG_TAIL = 12
+HEALTH, HEALTH_BYTES = "/api/health", 65536
 
 
 @dataclass(frozen=True)
@@ -45,69 +50,133 @@ class Studio:
     store: Path
     host: str = "127.0.0.1"
     port: int | None = None
+    base: str = ""
     theme: Mode | None = None
 
 
+@dataclass
+class Server:
+    """The page server as a process, which starts the others when they are needed."""
+
+    links: Links
+    command: Sequence[str] = (sys.executable, "-m", "app.servers.pages")
+    process: processes.Process | None = None
+
+    def start(self) -> None:
+        """Start it in a new process group, which ends with this process."""
+        environment = {**os.environ, **self.links.environment(), "OMP_NUM_THREADS": "1"}
+        with self.log.open("wb") as log:
+            self.process = processes.start(self.command, log, environment | RETURNING)
+
+    @property
+    def log(self) -> Path:
+        return Path(self.links.folder, "log")
+
+    @property
+    def running(self) -> bool:
+        return self.process is not None and self.process.poll() is None
+
+    @property
+    def port_was_taken(self) -> bool:
+        """Whether it has ended and another program has its port."""
+        return not self.running and not is_free(self.links.host, self.links.port)
+
+    def healthy(self) -> bool:
+        """Whether it answers, and no other program on its port."""
+        host = address.local_host(self.links.host)
+        connection = http.client.HTTPConnection(host, self.links.port, timeout=2)
+        try:
+            connection.request("GET", HEALTH)
+            return self.links.launch.encode() in connection.getresponse().read(HEALTH_BYTES)
+        except (OSError, http.client.HTTPException):
+            return False
+        finally:
+            connection.close()
+
+    def wait_until_healthy(self, timeout_s: float, stopped: Callable[[], bool]) -> bool:
+        """Wait until it answers; False if it ended, on a timeout, or if the studio stops."""
+        deadline = time.monotonic() + timeout_s
+        while self.running and time.monotonic() < deadline and not stopped():
+            if self.healthy():
+                return True
+            time.sleep(0.05)
+        return False
+
+    def tail(self) -> str:
+        """The last lines of its output."""
+        lines = self.log.read_text(errors="replace").splitlines() if self.log.exists() else []
+        return "\n".join(map(terminal, lines[-LOG_TAIL:]))
+
+    def stop(self) -> None:
+        """End it with all its children: SIGTERM, and after a grace period SIGKILL."""
+        if self.process is None:
+            return
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            with suppress(ProcessLookupError):  # the whole group has ended
+                os.killpg(self.process.pid, number)
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(STOP_GRACE_S)
+        self.process.wait()
+
+
 def run(studio: Studio, *, browser: bool) -> int:
-    """Serve until SIGINT or SIGTERM (returns 0), or until Streamlit fails (returns 1)."""
+    """Serve until SIGINT or SIGTERM (returns 0), or until the page server fails (returns 1)."""
     stopping = Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: stopping.set())
-    with servers(studio, stopping) as (links, running):
+    with serving(studio, stopping) as (links, server):
         if stopping.is_set():
             return 0
-        if running is None:
+        if server is None:
             return 1
         missing = "" if studio.store.exists() else ", which is not there yet"
         store = f"store {studio.store}{missing}"
         print(f"tom studio: {links.opened()}  ({store}; Ctrl-C stops it)", flush=True)
-        if links.local_only:
-            print(f"            over SSH: ssh {links.tunnels} THIS-MACHINE", flush=True)
+        if links.base:
+            print(f"            behind a proxy: its address in place of {links.root}", flush=True)
+        elif links.local_only:
+            tunnel = f"-L {links.port}:{links.root.removeprefix('http://')}"
+            print(f"            over SSH: ssh {tunnel} THIS-MACHINE", flush=True)
         if browser and _has_display():
             webbrowser.open(_leading_to(links).as_uri())
-        return watch(running, stopping)
+        while not stopping.wait(0.5):
+            if not server.running:
+                print(f"tom studio: the page server ended:\n{server.tail()}", file=sys.stderr)
+                return 1
+        return 0
 
 
 @contextmanager
-def servers(studio: Studio, stopping: Event) -> Iterator[tuple[Links, list[Server] | None]]:
-    """The studio's healthy servers; None if they did not start."""
-    started: list[Server] = []
+def serving(studio: Studio, stopping: Event) -> Iterator[tuple[Links, Server | None]]:
+    """The links and the healthy page server of a studio; None if that did not start.
+
+    Raises UserError if it cannot listen where it should.
+    """
     with tempfile.TemporaryDirectory(prefix="tom-studio-") as folder:
+        links = plan(studio, folder)
+        if not links.local_only:
+            print(OPEN, file=sys.stderr)
+        server, up = Server(links), False
         try:
-            links, failed = _launch(studio, Path(folder), started, stopping)
-            if failed and not stopping.is_set():
-                print(f"tom studio: {failed.name} did not start:\n{failed.tail()}", file=sys.stderr)
-            yield links, None if failed else started
+            for _ in range(ATTEMPTS):
+                server.start()
+                up = server.wait_until_healthy(START_TIMEOUT_S, stopping.is_set)
+                if up or stopping.is_set() or not server.port_was_taken:
+                    break
+                # Another program took it, if only for a moment, after it was found free.
+                links = plan(studio, folder)
+                server = Server(links)
+            if not up and not stopping.is_set():
+                print(f"tom studio: it did not start:\n{server.tail()}", file=sys.stderr)
+            yield links, server if up else None
         finally:
-            stop(started)
+            server.stop()
 
 
-def _launch(
-    studio: Studio, folder: Path, started: list[Server], stopping: Event, left: int = ATTEMPTS
-) -> tuple[Links, Server | None]:
-    """Start the servers, kept in `started`; their links and the first that does not answer."""
-    links = plan(studio, folder)
-    if studio.host not in LOOPBACK and left == ATTEMPTS:
-        print(OPEN, file=sys.stderr)
-    started[:] = build(links, folder)
-    failed = _start(started, stopping)
-    if failed and failed.port_was_taken and left > 1 and not stopping.is_set():
-        # Another program took its port, if only for a moment, after it was found free.
-        stop(started)
-        return _launch(studio, folder, started, stopping, left - 1)
-    return links, failed
-
-
-def plan(studio: Studio, folder: Path) -> Links:
-    """The ports of all servers. Raises UserError if a requested one is not free."""
+def plan(studio: Studio, folder: str) -> Links:
+    """The links of a studio. Raises UserError if it cannot listen on its host and port."""
     try:
-        port = _studio_port(studio.host, studio.port)
-        others = [] if studio.port is None else [port + 1, port + 2]
-        for other in others:  # a given port fixes all three: for tunnels and firewalls
-            _studio_port(studio.host, other)
-        while len(others) < 2:
-            others += {free_port(studio.host)} - {port, *others}
-        rerun_port, viser_port = others
+        port = _port(studio.host, studio.port)
     except (OSError, OverflowError) as error:
         raise UserError(
             f"cannot listen on --host {studio.host}: {error}; use 127.0.0.1 or an address of "
@@ -117,79 +186,42 @@ def plan(studio: Studio, folder: Path) -> Links:
         store=str(studio.store),
         host=studio.host,
         port=port,
-        rerun_port=rerun_port,
-        viser_port=viser_port,
-        control=str(folder / "control"),
+        base=studio.base,
+        folder=folder,
         theme=studio.theme,
         key=secrets.token_urlsafe(),
     )
 
 
-def build(links: Links, folder: Path) -> list[Server]:
-    """The three servers, Streamlit last, because its pages refer to the others."""
-    python = [sys.executable, "-m"]
-    environment = {**links.environment(), "OMP_NUM_THREADS": "1", **RETURNING}
-
-    def server(name: str, command: list[str], port: int, health: str, mark: str = "") -> Server:
-        log = folder / f"{name}.log"
-        return Server(name, command, environment, links.local_host, port, health, log, mark)
-
-    rerun = hub.command(links.host, links.rerun_port, links.store, links.port)
-    pages = [*python, "app.servers.pages"]
-    return [
-        server("rerun", rerun, links.rerun_port, "/"),
-        server("viser", [*python, "app.scenes.server"], links.viser_port, "/"),
-        server("streamlit", pages, links.port, "/api/health", mark=links.launch),
-    ]
-
-
-def _studio_port(host: str, asked: int | None) -> int:
+def _port(host: str, asked: int | None) -> int:
     if asked is None:
-        return free_port(host, DEFAULT_PORT)
+        return DEFAULT_PORT if is_free(host, DEFAULT_PORT) else address.free_port(host)
     if not 1 <= asked <= 65535:
         raise UserError(f"--port {asked} is no port: use one from 1024 to 65535")
     if not is_free(host, asked):
-        raise UserError(f"port {asked} is taken: use --port {free_port(host)}, or leave --port out")
+        raise UserError(
+            f"port {asked} is taken: use --port {address.free_port(host)}, or leave --port out"
+        )
     return asked
 
 
-def _start(servers: Sequence[Server], stopping: Event) -> Server | None:
-    """Start them; the first that does not answer, None if all do."""
-    for server in servers:
-        server.start()
-    deadline = time.monotonic() + START_TIMEOUT_S
-    for server in servers:
-        if not server.wait_until_healthy(deadline, stopping.is_set):
-            return server
-    return None
-
-
-def watch(running: Sequence[Server], stopping: Event) -> int:
-    """Wait for the end (0), or until Streamlit ends (1). Dead viewers are started again.
-
-    A viewer that dies soon after its start is not; the pages work without it.
-    """
-    watched = list(running)
-    while not stopping.wait(0.5):
-        for server in [server for server in watched if not server.running]:
-            if server.name == "streamlit":
-                print(f"tom studio: {server.name} ended:\n{server.tail()}", file=sys.stderr)
-                return 1
-            if time.monotonic() - server.started >= LIFE_S:
-                server.start()
-                continue
-            watched.remove(server)
-            print(
-                f"tom studio: {server.name} ended, so the pages go on without it; start the studio "
-                f"again to have it back:\n{server.tail()}",
-                file=sys.stderr,
-            )
-    return 0
+def is_free(host: str, port: int) -> bool:
+    """Whether `port` of `host` is free. Raises OSError for a host that is not this machine."""
+    with socket.socket(address.family(host), socket.SOCK_STREAM) as probe:
+        # Like the servers: a port in TIME_WAIT counts as free.
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            if error.errno in (errno.EADDRINUSE, errno.EACCES):  # a privileged port
+                return False
+            raise
+        return True
 
 
 def _leading_to(links: Links) -> Path:
     """A file that redirects to the studio, because all users can see a browser's arguments."""
-    path = Path(links.control).with_name("studio.html")
+    path = Path(links.folder, "studio.html")
     path.write_text(f'<!doctype html><script>location.replace("{links.opened()}")</script>')
     return path
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.servers.browser import chromium
-from app.servers.launcher import Studio, servers
+from app.servers.launcher import Studio, serving
 from tom.data.transitions import Transitions
 from tom.envs import task
 from tom.events import Weights
@@ -118,7 +118,7 @@ def measure(folder: Path, sizes: tuple[int, ...] = tuple(DRAWN_S)) -> Iterator[M
     Raises UserError if there is no browser, RuntimeError if the studio does not start.
     """
     runs = {rows: make_run(folder, rows) for rows in sizes}
-    with servers(Studio(store=folder), Event()) as (links, running), chromium() as browser:
+    with serving(Studio(store=folder), Event()) as (links, running), chromium() as browser:
         if running is None:
             raise RuntimeError("the studio did not start")
         context = browser.new_context(viewport={"width": 1280, "height": 900})

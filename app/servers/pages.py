@@ -1,7 +1,8 @@
-"""Streamlit's process: the pages, and the recordings for the Rerun viewer."""
+"""The page server: Streamlit, everything else that pages ask for, and the 3D server beside it."""
 
 import logging
-import re
+import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from threading import Thread
@@ -19,7 +20,7 @@ from starlette.responses import (
     RedirectResponse,
     Response,
 )
-from starlette.routing import Route
+from starlette.routing import BaseRoute, Route
 from streamlit import config, file_util
 
 from app import glossary
@@ -29,19 +30,17 @@ from app.links import Links
 from app.parts import shortlinks
 from app.parts.plot import LIBRARY, LIBRARY_PATH
 from app.router import views
+from app.servers import viewers
 from app.theme import streamlit_options
 from tom import plugins
-from tom.errors import UserError
-from tom.machine.address import in_url
-from tom.record.store import Store
+from tom.machine import processes
 
+RESTART_S = 3.0
+"""from the end of a 3D server to the next"""
 LARGEST_FIGURE = 20_000_000
 """bytes of a figure that a page sends to have it drawn for a paper"""
 NO_FIGURE = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, RecursionError)
 """what the drawing of something raises that is no figure"""
-RECORDING = "application/octet-stream"
-EPISODE = re.compile(r"episode-(\d{1,12})-(\d{1,4})-([1-9]\d{0,3})\.rrd")
-"""a single evaluation episode: step, number from 0, steps after which the ghost restarts"""
 
 FORWARDED = {
     "/live": ("/", {}),
@@ -66,21 +65,23 @@ RENAMED = {
 
 ENTRY = Path(__file__).with_name("main.py")
 # Streamlit's own page first looks for its server below the opened address
-# (`/compare/_stcore/health`) before it tries the root, which gives two errors in the console at
-# each visit. And it makes an entry of the browser's history when the server changes the address.
+# (`/compare/_stcore/health`), which gives errors in the console. And it makes an entry of the
+# browser's history when the server changes the address.
 _HEAD = """<head>
     <script>
       {
-        const origin = location.origin;
-        window.__streamlit = { BACKEND_BASE_URL: origin, MAIN_PAGE_BASE_URL: origin };
+        const root = new URL(".", location.href).href;
+        window.__streamlit = { BACKEND_BASE_URL: root, MAIN_PAGE_BASE_URL: root };
         // The key stands behind the # of the address that the terminal printed. It is kept where
-        // this port's pages alone read it: a browser gives a cookie to every port of a host.
+        // this port's pages alone read it: a browser gives a cookie to every port of a host. Behind
+        // a proxy, several studios may have one port.
+        const kept = `tom-studio-key${new URL(root).pathname}`;
         const given = /^#key=([\\w-]+)$/.exec(location.hash);
         if (given) {
-          localStorage.setItem("tom-studio-key", given[1]);
+          localStorage.setItem(kept, given[1]);
           history.replaceState(null, "", location.pathname + location.search);
         }
-        const key = localStorage.getItem("tom-studio-key");
+        const key = localStorage.getItem(kept);
         // Streamlit keeps a theme for every address; the studio has one for all pages.
         const theme = localStorage.getItem("tom-studio-theme");
         if (theme) {
@@ -107,22 +108,8 @@ _HEAD = """<head>
     </script>"""
 
 
-def routes(links: Links) -> list[Route]:
+def routes(links: Links) -> list[BaseRoute]:
     """The routes of this server besides the pages."""
-
-    def recording(request: Request) -> Response:
-        run_id, name = request.path_params["run"], request.path_params["name"]
-        # The viewer's page comes from another port, so reading needs CORS.
-        headers = {"Access-Control-Allow-Origin": viewer_origin(request, links)}
-        headers |= {"Vary": "Origin", "Cache-Control": "no-store"}
-        if wanted := EPISODE.fullmatch(name):
-            content = episode(links.store, run_id, *map(int, wanted.groups()))
-            if content is not None:
-                return Response(content, media_type=RECORDING, headers=headers)
-        path = recording_path(links.store, run_id, name)
-        if path is None:
-            return PlainTextResponse("no such recording", status_code=404)
-        return FileResponse(path, media_type=RECORDING, headers=headers)
 
     def report(request: Request) -> Response:
         path = studies.report(request.path_params["study"], *studies.folders(links.store))
@@ -143,7 +130,7 @@ def routes(links: Links) -> list[Route]:
         if content is None:
             return PlainTextResponse("no such array", status_code=404)
         headers = {"Cache-Control": "private, max-age=31536000, immutable"}
-        return Response(content, media_type=RECORDING, headers=headers)
+        return Response(content, media_type="application/octet-stream", headers=headers)
 
     async def figure(request: Request) -> Response:
         from app.figures import paper  # here: it imports matplotlib
@@ -163,21 +150,22 @@ def routes(links: Links) -> list[Route]:
         target = shortlinks.target(links.store, code)
         if target is None:
             return HTMLResponse(shortlinks.nowhere(code), status_code=404)
-        return RedirectResponse(target, status_code=302)
+        return RedirectResponse(f"..{target}", status_code=302)
 
     def forward(request: Request) -> Response:
-        return RedirectResponse(forwarded(request.url.path, request.url.query))
+        page = request.url.path.rpartition("/")[2]
+        return RedirectResponse(f".{forwarded(f'/{page}', request.url.query)}")
 
     return [
         Route("/v/{code}", short),
         *[Route(path, forward) for path in FORWARDED],
         Route(f"/{glossary.PATH}", lambda _: HTMLResponse(glossary.page())),
         Route("/reports/{study}", report),
-        Route("/rrd/{run}/{name}", recording),
         Route("/api/health", health),
-        Route(LIBRARY_PATH, library),
-        Route(f"{arrays.PATH}/{{name}}", array),
+        Route(f"/{LIBRARY_PATH}", library),
+        Route(f"/{arrays.PATH}/{{name}}", array),
         Route("/api/figure", figure, methods=["POST"]),
+        *viewers.routes(links),
         *page_routes([view.PATH for view in views()]),
     ]
 
@@ -214,36 +202,6 @@ def app(links: Links) -> st.App:
     return st.App(ENTRY.resolve(), routes=routes(links), middleware=[guard])
 
 
-def episode(store: str, run_id: str, step: int, index: int, horizon: int) -> bytes | None:
-    """A recording of one evaluation episode and its ghost; None if there is no such episode."""
-    try:
-        from app.data import replays  # here: it imports torch, the simulator and Rerun
-
-        run = Store(store).run(run_id)
-        return replays.recording(run, step, index, horizon)
-    except UserError:
-        return None
-
-
-def recording_path(store: str, run_id: str, name: str) -> Path | None:
-    """The file of a run's recording; None if there is no such recording."""
-    try:
-        files = Store(store).run(run_id).rrd_files()
-    except UserError:
-        return None
-    recording = next((path for path in files if path.name == name), None)
-    return (
-        recording
-        if recording is not None and recording.is_file() and not recording.is_symlink()
-        else None
-    )
-
-
-def viewer_origin(request: Request, links: Links) -> str:
-    """The only origin that may read recordings: the Rerun viewer on the requested host."""
-    return f"http://{in_url(request.url.hostname or '')}:{links.rerun_port}"
-
-
 def options(links: Links) -> dict:
     """Streamlit's settings: local, silent, no telemetry, no file watching."""
     return {
@@ -268,6 +226,14 @@ def warm(store: str) -> None:
         readers.metrics(run)
 
 
+def keep_scenes(links: Links) -> None:
+    """Run the 3D server, and again where it ended; the pages go on without it."""
+    while True:
+        with links.scenes_log.open("ab") as log:
+            processes.start([sys.executable, "-m", "app.scenes.server"], log, session=False).wait()
+        time.sleep(RESTART_S)
+
+
 def main() -> None:
     """Serve until SIGTERM."""
     logging.getLogger("streamlit").setLevel(logging.WARNING)
@@ -277,6 +243,7 @@ def main() -> None:
     plugins.load()
     links = Links.from_environment()
     Thread(target=warm, args=(links.store,), daemon=True).start()
+    Thread(target=keep_scenes, args=(links,), daemon=True).start()
     app(links).run(config=options(links))
 
 

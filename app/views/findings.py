@@ -86,7 +86,7 @@ def _whole(study: Study) -> None:
     head = st.columns([5, 1], vertical_alignment="center")
     head[0].header(text.markdown(study.question or study.name), anchor=False)
     if study.report is not None:
-        where = f"/reports/{quote(study.name)}"
+        where = f"reports/{quote(study.name)}"
         head[1].link_button("Whole report", where, icon=":material/open_in_new:", width="stretch")
     _said(study)
     for figure in study.figures:

@@ -3,31 +3,25 @@
 import asyncio
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, urljoin, urlsplit
 
 import pytest
 from starlette.applications import Starlette
 from starlette.datastructures import Headers
-from starlette.requests import Request
 from starlette.types import ASGIApp, Message
 from studio_runs import ROAD_TOM
 
 from app.figures import paper
 from app.guard import Guard
 from app.links import Links
-from app.servers.pages import (
-    EPISODE,
-    LARGEST_FIGURE,
-    options,
-    recording_path,
-    routes,
-    viewer_origin,
-)
+from app.servers.pages import LARGEST_FIGURE, options, routes
+from app.servers.viewers import EPISODE, recording_path
 from app.theme import Mode
 
 MODES: tuple[Mode, ...] = ("dark", "light")
-LINKS = Links(store="/runs", port=8600, rerun_port=9090, viser_port=8080, control="/c", key="k")
+LINKS = Links(store="/runs", port=8600, base="/x/", folder="/f", key="k")
 
 
 def test_links_survive_the_environment(monkeypatch) -> None:
@@ -36,36 +30,22 @@ def test_links_survive_the_environment(monkeypatch) -> None:
     assert Links.from_environment() == LINKS
 
 
-def test_the_live_viewer_reads_one_run_from_the_hub() -> None:
-    address = urlsplit(LINKS.rerun_live("studio.local", "a b", "dark"))
-    assert address.netloc == "studio.local:9090"
-    query = parse_qs(address.query)
-    assert query["url"] == ["http://studio.local:9090/live/a%20b.rrd"]
+@pytest.mark.parametrize(
+    "names", [["live.rrd"], ["run.rrd", "run-2.rrd"], ["episode-400-1-25.rrd"]]
+)
+def test_rerun_shows_recordings_that_lie_beside_its_page(names: list[str]) -> None:
+    address = f"http://studio.local{LINKS.rerun('a b', names, 'dark')}"
+    query = parse_qs(urlsplit(address).query)
     assert query["theme"] == ["dark"]
+    recordings = [urlsplit(urljoin(address, url)).path for url in query["url"]]
+    assert recordings == [f"/x/rrd/a%20b/{name}" for name in names]
+    wanted = EPISODE.fullmatch(names[0])
+    assert (wanted and wanted.groups()) in (None, ("400", "1", "25"))
 
 
-def test_a_resumed_run_has_several_recordings() -> None:
-    names = ["run.rrd", "run-2.rrd"]
-    query = parse_qs(urlsplit(LINKS.rerun_files("localhost", "a", names, "light")).query)
-    assert query["url"] == [f"http://localhost:8600/rrd/a/{name}" for name in names]
-
-
-def test_an_episode_is_shown_in_rerun() -> None:
-    query = parse_qs(urlsplit(LINKS.rerun_episode("localhost", "a b", 400, 1, 25, "dark")).query)
-    [address] = query["url"]
-    assert address == "http://localhost:8600/rrd/a%20b/episode-400-1-25.rrd"
-    wanted = EPISODE.fullmatch(address.rpartition("/")[2])
-    assert wanted is not None
-    assert wanted.groups() == ("400", "1", "25")
-
-
-def test_a_viser_frame_carries_the_name_of_its_page() -> None:
-    query = parse_qs(urlsplit(LINKS.viser("localhost", "abc", "light")).query)
-    assert query["websocket"] == ["ws://localhost:8080/abc"]
-
-
-def test_a_viser_frame_is_dark_before_its_server_says_so() -> None:
-    dark, light = (urlsplit(LINKS.viser("localhost", "abc", mode)).query for mode in MODES)
+def test_a_viser_frame_carries_the_name_of_its_page_and_is_dark_at_once() -> None:
+    dark, light = (LINKS.viser("abc", mode) for mode in MODES)
+    assert urlsplit(light).path == "/x/viser/abc/"
     assert dark == f"{light}&darkMode"
 
 
@@ -104,8 +84,7 @@ def test_a_recording_that_is_a_link_is_not_followed(store: Path, tmp_path: Path)
     [
         ("127.0.0.1", "localhost:8600", 200),
         ("127.0.0.1", "LOCALHOST:8600", 200),
-        ("127.0.0.1", "localhost:8601", 403),
-        ("127.0.0.1", "localhost", 403),
+        ("127.0.0.1", "localhost:8601", 200),  # another port of a tunnel
         ("127.0.0.1", "evil.example:8600", 403),
         ("127.0.0.1", "", 403),
         ("127.0.0.1", "[", 403),
@@ -124,9 +103,44 @@ def test_only_under_its_own_names_it_gives_out_what_it_holds(
         assert answered(guarded, path, host) == (404 if code == 200 else code), path
 
 
-def answered(served: ASGIApp, path: str, host: str = "localhost:8600") -> int:
+@pytest.mark.parametrize(
+    ("host", "headers", "code"),
+    [
+        ("hub.example", {"sec-fetch-site": "same-origin"}, 200),
+        ("hub.example", {"origin": "https://hub.example"}, 200),
+        ("127.0.0.1:9999", {}, 200),  # a proxy of this machine
+        ("127.0.0.1:9999", {"origin": "http://127.0.0.1:9999"}, 200),
+        ("hub.example", {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}, 200),
+        ("hub.example", {"sec-fetch-site": "cross-site", "sec-fetch-mode": "no-cors"}, 403),
+        ("hub.example", {"origin": "https://evil.example"}, 403),
+        ("127.0.0.1:9999", {"origin": "http://127.0.0.1:8600"}, 403),
+        # A name that was made to point here: browsers send no Sec-Fetch-Site over plain http.
+        ("evil.example:8600", {}, 403),
+        ("evil.example:8600", {"origin": "http://evil.example:8600"}, 403),
+    ],
+)
+def test_behind_a_proxy_it_answers_pages_of_a_secure_address(
+    host: str, headers: dict[str, str], code: int
+) -> None:
+    guarded = Guard(Starlette(routes=routes(LINKS)), LINKS)
+    for path in ("/x/api/health", "/x/", "/x/curves", "/curves"):  # some proxies take `/x` off
+        assert answered(guarded, path, host, **headers) == code, path
+    alone, root = (Guard(guarded._app, replace(LINKS, base=base)) for base in ("", "/"))
+    assert answered(root, "/curves", host, **headers) == code
+    if "127.0.0.1" not in host:
+        assert answered(alone, "/curves", host, **headers) == 403
+
+
+def test_the_path_of_a_proxy_gets_the_slash_that_relative_addresses_need() -> None:
+    guarded = Guard(Starlette(routes=routes(LINKS)), LINKS)
+    code, headers, _ = reply(guarded, "GET", "/x")
+    assert (code, headers["location"]) == (307, "/x/")
+    assert answered(guarded, "/xy/curves") == 404
+
+
+def answered(served: ASGIApp, path: str, host: str = "localhost:8600", **headers: str) -> int:
     """The code with which a server answers a request."""
-    return reply(served, "GET", path, host)[0]
+    return reply(served, "GET", path, host, b"", **headers)[0]
 
 
 def reply(
@@ -177,7 +191,7 @@ def reply(
 )  # fmt: skip
 def test_an_address_of_an_older_studio_leads_to_todays_page(old: str, new: str) -> None:
     code, headers, _ = reply(Starlette(routes=routes(LINKS)), "GET", old)
-    assert (code, headers["location"]) == (307, new)
+    assert (code, urljoin(old, headers["location"])) == (307, new)
     assert answered(Starlette(routes=routes(LINKS)), urlsplit(new).path) == 200
 
 
@@ -245,13 +259,3 @@ def test_a_figure_that_is_too_large_or_of_no_length_is_not_read(length: str) -> 
     )
     assert code == 400
     assert not content.startswith(b"%PDF")
-
-
-def test_only_the_viewers_page_may_read_recordings() -> None:
-    for host, origin in (
-        ("studio.local", "http://studio.local:9090"),
-        ("[::1]", "http://[::1]:9090"),
-    ):
-        headers = [(b"host", f"{host}:8600".encode())]
-        request = Request({"type": "http", "headers": headers, "path": "/", "scheme": "http"})
-        assert viewer_origin(request, LINKS) == origin

@@ -1,4 +1,4 @@
-"""Real servers for the fault tests: a studio, a Rerun hub, and what the kernel says of them."""
+"""Real servers for the fault tests: a studio, and what the kernel says of it."""
 
 import re
 import signal
@@ -9,10 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from http.client import HTTPConnection
 from pathlib import Path
-
-from faults import wait_until
-
-from tom.record.rerun import hub
 
 
 @contextmanager
@@ -36,23 +32,6 @@ def studio(store: Path, *arguments: object) -> Iterator[tuple[subprocess.Popen[s
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)
             process.wait(60)
-
-
-@contextmanager
-def live_hub(store: Path) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
-    """A hub as the studio runs it: the process and its port."""
-    port = hub.free_port("127.0.0.1")
-    process = subprocess.Popen(hub.command("127.0.0.1", port, store), stderr=subprocess.DEVNULL)
-    try:
-        wait_until(lambda: answers(port))
-        yield process, port
-    finally:
-        process.terminate()
-        try:
-            process.wait(10)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 def answers(port: int, path: str = "/") -> bool:

@@ -4,7 +4,6 @@ import os
 import shutil
 from multiprocessing import get_context
 from pathlib import Path
-from threading import Event as Flag
 
 import pytest
 from faults import config, ended, stopped, tom, train_command
@@ -157,5 +156,5 @@ def test_a_path_with_spaces_and_unicode__trains_resumes_and_is_shown_like_any_ot
     stopped(store, 130)
     done = resume(store, "a", rerun=False)
     assert done.status.state == "finished"
-    parts = list(stream(done, Flag()))
+    parts = list(stream(done))
     assert sum(map(len, parts)) > 1000

@@ -26,10 +26,10 @@ from app.guard import KEY
 from app.links import Links
 from app.router import VIEWS
 from app.servers import launcher
-from app.servers.pages import recording_path
+from app.servers.viewers import recording_path
 from tom.errors import UserError
 from tom.record import Store, manage
-from tom.record.rerun import hub
+from tom.record.rerun import viewer
 from tom.training.presets import resolve
 from tom.training.run import train
 
@@ -196,14 +196,14 @@ def test_a_studio_killed_with_sigkill__leaves_no_orphan(made: Path):
         assert not is_taken(port)
 
 
-def test_servers_of_a_studio__listen_on_three_ports_of_the_loopback_and_send_no_statistics(
+def test_servers_of_a_studio__listen_on_one_port_of_the_loopback_and_send_no_statistics(
     made: Path,
 ):
     with studio(made) as (process, port):
         children = descendants(process.pid)
         assert {address for address, _ in listening(children)} <= LOOPBACK
-        assert len({own for _, own in listening(children)}) == 3
-        assert not [pid for pid in children if command_of(pid).startswith(str(hub.binary()))]
+        assert {own for _, own in listening(children)} == {port}
+        assert not [pid for pid in children if command_of(pid).startswith(str(viewer.binary()))]
         assert gathers_statistics(port) is False
 
 
@@ -236,7 +236,7 @@ def test_a_host_that_others_reach__is_explicit_and_warns_before_anything_starts(
 ):
     stopping = Event()
     stopping.set()
-    with launcher.servers(launcher.Studio(tmp_path, host), stopping) as (links, running):
+    with launcher.serving(launcher.Studio(tmp_path, host), stopping) as (links, running):
         assert (links.host, running) == (host, None)
         warned = "reachable from other machines" in capsys.readouterr().err
     assert warned == (host != "127.0.0.1")

@@ -172,7 +172,7 @@ finally:
         ("app.servers.launcher", set()),
         ("app.servers.pages", {"streamlit"}),
         ("app.scenes.server", set()),
-        ("tom.record.rerun.hub", set()),
+        ("tom.record.rerun.viewer", set()),
     ],
 )
 def test_a_server_of_the_studio_starts_without_heavy_libraries(module: str, its_own: set[str]):

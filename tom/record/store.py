@@ -1,13 +1,11 @@
 """The run store: a folder of run folders."""
 
 import os
-import time
 from datetime import datetime
 from pathlib import Path
 
 from tom.errors import UserError
 from tom.record import layout
-from tom.record.files import modified
 from tom.record.reader import RunReader
 
 NAME_BYTES = 200
@@ -60,12 +58,6 @@ class Store:
             why = "; ".join(reader.problems) or "its config.json is not a run's"
             raise UserError(f"{name}: no run ({why})")
         return reader
-
-    def recent(self, seconds: float) -> list[str]:
-        """Ids of the runs whose status was written in the last `seconds`; one stat call per run."""
-        since = time.time() - seconds
-        names = [name for name in self._folders() if layout.RUN_ID.fullmatch(name)]
-        return [n for n in names if modified(self.path / n / layout.STATUS) >= since * 1e9]
 
     def run(self, run_id: str) -> RunReader:
         """The run `run_id`. Raises UserError if there is none."""

@@ -15,7 +15,7 @@ import streamlit as st
 from app.parts.component import renderer
 
 LIBRARY = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
-LIBRARY_PATH = f"/api/plotly-{plotly.__version__}.js"
+LIBRARY_PATH = f"api/plotly-{plotly.__version__}.js"
 _HTML = """<div class="plot-frame"><p class="plot-failed" role="alert" hidden></p>
       <div class="plot" role="img"></div>
       <div class="plot-cursor" aria-hidden="true" hidden></div>

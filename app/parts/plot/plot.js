@@ -84,7 +84,7 @@ async function save(plot, kind, width) {
   }
   const column = width === "shown" ? "two" : width;
   const body = JSON.stringify(shown(plot));
-  const answer = await fetch(`/api/figure?kind=${kind}&width=${column}`, { method: "POST", body });
+  const answer = await fetch(`api/figure?kind=${kind}&width=${column}`, { method: "POST", body });
   if (!answer.ok) throw new Error(await answer.text());
   return download(plot, await answer.blob(), kind);
 }

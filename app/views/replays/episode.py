@@ -100,7 +100,8 @@ def _play(
             label_visibility="collapsed",
         )  # fmt: skip
         if viewer == RERUN:
-            rerun.episode(run.run_id, replay.step, index, horizon, STAGE_HEIGHT)
+            name = f"episode-{replay.step}-{index}-{horizon}.rrd"
+            rerun.show(run.run_id, [name], STAGE_HEIGHT)
         else:
             shown = player.choice(run.run_id, replay, index, horizon)
             _scene(replay, frame, shown, playing=playing)

@@ -1,11 +1,9 @@
 """The viser server's process: frames that connect, and what they then do."""
 
-import gzip
 import threading
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from http.client import HTTPConnection
 from pathlib import Path
 
 import msgspec
@@ -14,16 +12,14 @@ import viser
 from studio_pages import answers
 from studio_runs import PENDULUM_TOM
 from viser import _messages
-from websockets.sync.client import ClientConnection, connect
-from websockets.typing import Origin, Subprotocol
+from websockets.sync.client import ClientConnection, unix_connect
+from websockets.typing import Subprotocol
 
 from app.links import Links
 from app.scenes.control import Clock, ReplayChoice, Selection, Wish, clock, listen
 from app.scenes.frame import Frame
 from app.scenes.replay import ReplayFrame
 from app.scenes.server import SceneServer
-from app.servers.processes import free_port
-from app.theme import BACKGROUND, Mode
 
 CAMERA = _messages.ViewerCameraMessage(
     wxyz=(1.0, 0.0, 0.0, 0.0),
@@ -40,18 +36,17 @@ PAGE = "page"
 
 
 @pytest.fixture
-def served(store: Path) -> Iterator[SceneServer]:
-    made = SceneServer(Links(store=str(store), viser_port=free_port("127.0.0.1")))
+def served(store: Path, tmp_path: Path) -> Iterator[SceneServer]:
+    made = SceneServer(Links(store=str(store), folder=str(tmp_path)))
     yield made
     made.server.stop()
 
 
 def frame_of_a_page(served: SceneServer) -> ClientConnection:
     """A browser frame, as viser's own client opens it: it says where its camera stands."""
-    port = served.links.viser_port
-    opened = connect(
-        f"ws://127.0.0.1:{port}/{PAGE}",
-        origin=Origin(f"http://127.0.0.1:{port}"),
+    opened = unix_connect(
+        served.links.scenes,
+        f"ws://scenes/{PAGE}",
         subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
         max_size=None,
         max_queue=None,
@@ -141,8 +136,8 @@ def test_a_page_asks_over_its_socket(tmp_path: Path) -> None:
         clock(str(tmp_path / "none"), "page")
 
 
-def test_a_tab_left_while_its_frame_is_built_leaves_none(store: Path) -> None:
-    served = LeftWhileBuilt(Links(store=str(store), viser_port=free_port("127.0.0.1")))
+def test_a_tab_left_while_its_frame_is_built_leaves_none(store: Path, tmp_path: Path) -> None:
+    served = LeftWhileBuilt(Links(store=str(store), folder=str(tmp_path)))
     try:
         with frame_of_a_page(served):
             assert served.built.wait(60)
@@ -150,19 +145,3 @@ def test_a_tab_left_while_its_frame_is_built_leaves_none(store: Path) -> None:
         assert served.frames == {}
     finally:
         served.server.stop()
-
-
-@pytest.mark.parametrize("coding", ["identity", "gzip"])
-def test_a_dark_frames_page_is_dark_before_its_script_runs(
-    coding: str, served: SceneServer
-) -> None:
-    port = served.links.viser_port
-    asked_for: tuple[tuple[str, Mode], ...] = (("?darkMode", "dark"), ("", "light"))
-    for query, mode in asked_for:
-        asked = HTTPConnection("127.0.0.1", port, timeout=30)
-        asked.request("GET", f"/{query}", headers={"Accept-Encoding": coding})
-        answer = asked.getresponse()
-        page = answer.read()
-        html = gzip.decompress(page) if coding == "gzip" else page
-        assert f"background: {BACKGROUND[mode]}".encode() in html[:200]
-        assert b"</html>" in html[-200:]

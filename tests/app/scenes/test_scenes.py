@@ -33,7 +33,7 @@ from app.scenes.control import (
 )
 from app.scenes.road import RoadScene
 from app.scenes.road_frame import FRAME_S, LAYERS, REST_S, STRIDE, as_html
-from app.servers.processes import free_port
+from tom.machine.address import free_port
 from tom.record.reader import RunReader
 
 FOV = float(np.radians(75))

@@ -8,8 +8,8 @@ import viser
 import viser.transforms
 
 from app.scenes.frame import PIXELS, add_words, extent, painted
-from app.servers.processes import free_port
 from app.theme import BACKGROUND, TEXT, Mode, rgb
+from tom.machine.address import free_port
 
 
 @pytest.fixture(scope="module")

@@ -10,20 +10,20 @@ import pytest
 
 from app.links import Links
 from app.servers.browser import chromium
-from app.servers.launcher import Studio, servers
+from app.servers.launcher import Studio, serving
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, WebError
 
 
 @contextmanager
-def studio_and_browser(store: Path) -> Iterator[tuple[Links, "Browser"]]:
+def studio_and_browser(store: Path, base: str = "") -> Iterator[tuple[Links, "Browser"]]:
     """The studio of `store` with all its servers, and a browser that has not opened it yet.
 
     Fails at the end if a page of the studio, or a file saved from it, had an error.
     """
     errors: list[str] = []
-    with servers(Studio(store=store), Event()) as (links, running), chromium() as browser:
+    with serving(Studio(store, base=base), Event()) as (links, running), chromium() as browser:
 
         def note(page: "Page | None", error: str) -> None:
             if page is None or page.url.startswith((links.address, "file:")):

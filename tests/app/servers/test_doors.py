@@ -125,34 +125,33 @@ def test_another_port_gets_no_key_from_the_browser(opened: tuple[Links, "Browser
 
 def test_another_port_opens_no_socket(opened: tuple[Links, "Browser"], foreign: "Page") -> None:
     links, _ = opened
-    for address in (f"{links.port}/_stcore/stream", f"{links.viser_port}/page"):
-        assert foreign.evaluate(SOCKET, f"ws://127.0.0.1:{address}") == "refused"
+    for path in ("_stcore/stream", "viser/page"):
+        assert foreign.evaluate(SOCKET, f"ws://127.0.0.1:{links.port}/{path}") == "refused"
 
 
 def test_another_port_reads_nothing(opened: tuple[Links, "Browser"], foreign: "Page") -> None:
     links, _ = opened
-    for port in (links.port, links.rerun_port, links.viser_port):
-        assert foreign.evaluate(READ, f"http://127.0.0.1:{port}/") == "refused"
+    for path in ("", "viser/page/", "rerun/", "api/health"):
+        assert foreign.evaluate(READ, f"{links.address}/{path}") == "refused"
 
 
 def test_another_port_shows_no_page_in_a_frame(
     opened: tuple[Links, "Browser"], foreign: "Page"
 ) -> None:
     links, _ = opened
-    for port in (links.port, links.rerun_port, links.viser_port):
-        foreign.evaluate(FRAME, f"http://127.0.0.1:{port}/")
-        assert foreign.frames[-1].url == "chrome-error://chromewebdata/", port
+    for path in ("", "viser/page/", "rerun/"):
+        foreign.evaluate(FRAME, f"{links.address}/{path}")
+        assert foreign.frames[-1].url == "chrome-error://chromewebdata/", path
 
 
-def test_a_recordings_address_with_line_breaks_runs_no_script(
-    opened: tuple[Links, "Browser"],
+@pytest.mark.parametrize("page", ["viser/page/?websocket=ws:", "rerun/?url=http:"])
+def test_an_address_that_names_a_foreign_source_for_a_viewer_reaches_none(
+    page: str, opened: tuple[Links, "Browser"]
 ) -> None:
     links, browser = opened
-    script = "%3Cscript%3Edocument.title=%22run%22%3C%2Fscript%3E"
-    path = f"/live/x%0d%0aContent-Type:%20text%2Fhtml%0d%0a%0d%0a{script}.rrd"
-    with browser.new_context() as context:
-        page = context.new_page()
-        answer = page.goto(f"http://127.0.0.1:{links.rerun_port}{path}")
-        assert answer is not None
-        assert answer.status == 404
-        assert page.title() == ""
+    with elsewhere() as (port, cookies), browser.new_context() as context:
+        visit = context.new_page()
+        visit.goto(f"{links.address}/{page}//127.0.0.1:{port}/evil")
+        visit.locator("canvas").first.wait_for()
+        visit.wait_for_timeout(3000)
+        assert cookies == []

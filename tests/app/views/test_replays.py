@@ -3,7 +3,7 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, urljoin, urlsplit
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from app.figures.replay import error_curve
 from app.links import Links
 from app.scenes import solids
 from app.scenes.replay import track
-from app.servers import pages
+from app.servers import viewers
 from tom.analysis.imagine import stored_model
 from tom.record.reader import RunReader
 
@@ -149,7 +149,7 @@ def test_the_page_shows_the_chosen_episode(store: Path, run: RunReader) -> None:
 
 @pytest.fixture
 def with_viewers(studio: Links, store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    set_links(Links(store=str(store), port=8600, rerun_port=9090, key="key"), monkeypatch)
+    set_links(Links(store=str(store), port=8600, folder=str(store), key="key"), monkeypatch)
 
 
 @pytest.mark.usefixtures("with_viewers")
@@ -158,11 +158,11 @@ def test_an_episode_is_shown_in_rerun_and_one_that_is_not_there_is_none(
 ) -> None:
     app = draw("replays", run=PENDULUM_TOM, episode="2", ghost="10 steps", viewer="Rerun")
     assert asked_of_rerun(app) == f"/rrd/{PENDULUM_TOM}/episode-400-1-10.rrd"
-    content = pages.episode(str(store), PENDULUM_TOM, 400, 1, 10)
+    content = viewers.episode(str(store), PENDULUM_TOM, 400, 1, 10)
     assert content is not None
     assert content.startswith(b"RRF2")
-    assert pages.episode(str(store), PENDULUM_TOM, 400, 99, 25) is None
-    assert pages.episode(str(store), "../etc", 400, 0, 25) is None
+    assert viewers.episode(str(store), PENDULUM_TOM, 400, 99, 25) is None
+    assert viewers.episode(str(store), "../etc", 400, 0, 25) is None
     assert replays.load(run, 400, 99, 10) is None
     assert replays.load(run, 401, 0, 10) is None
 
@@ -177,7 +177,7 @@ def asked_of_rerun(app: AppTest) -> str:
     """The path of the recording that the page's only frame asks for."""
     [frame] = app.get("iframe")
     [address] = parse_qs(urlsplit(frame.proto.src).query)["url"]
-    return urlsplit(address).path
+    return urlsplit(urljoin(frame.proto.src, address)).path
 
 
 CLICK = """

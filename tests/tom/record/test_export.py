@@ -17,7 +17,7 @@ from tom.errors import UserError
 from tom.record import RunReader, Store, manage
 from tom.record.export import EXPORTERS, export, export_small
 from tom.record.files import size_of
-from tom.record.rerun import hub
+from tom.record.rerun import viewer
 from tom.record.thin import coarse
 
 Event = vars(event_pb2)["Event"]
@@ -102,8 +102,8 @@ def test_a_recording_is_made_from_the_files(record, tmp_path: Path):
     assert run.rrd_files() == []
     path = export(run, "rrd", tmp_path)
     assert path.read_bytes()[:4] == b"RRF2"
-    verify = [hub.binary(), "rrd", "verify", path]  # it also misses an end that was cut off
-    subprocess.run(verify, env=hub.without_analytics(tmp_path), check=True, capture_output=True)
+    verify = [viewer.binary(), "rrd", "verify", path]  # it also misses an end that was cut off
+    subprocess.run(verify, env=viewer.without_analytics(tmp_path), check=True, capture_output=True)
 
 
 def test_a_small_copy_reads_like_the_run(store: Store, record, tmp_path: Path):

@@ -1,12 +1,11 @@
 import json
-import os
 from pathlib import Path
 
 import pytest
 from recorded import Config
 
 from tom.errors import UserError
-from tom.record import RunReader, Store, layout
+from tom.record import Store, layout
 from tom.record.writer import RunWriter
 
 
@@ -110,13 +109,6 @@ def test_weighings_of_the_same_second_have_folders_of_their_own(store: Store):
         assert folder.name.startswith("hopper-by-its-own-")
         taken.add(folder)
     assert len(taken) == 3
-
-
-def test_recent_runs_are_those_whose_status_was_just_written(record, store: Store):
-    runs: list[RunReader] = [record("old"), record("new")]
-    long_ago = runs[0].status.heartbeat - 100
-    os.utime(runs[0].path / "status.json", (long_ago, long_ago))
-    assert store.recent(30) == ["new"]
 
 
 @pytest.mark.parametrize("name", [".hidden", "x" * 250, "ü" * 250, "..."])

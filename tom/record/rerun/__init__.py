@@ -1,1 +1,1 @@
-"""Rerun as a view of a run: its recording, the live feed and hub. Only this package knows it."""
+"""Rerun as a view of a run: its recording, live feed and viewer. Only this package knows it."""

@@ -1,20 +1,23 @@
-"""Rerun recordings made from run folders: live for each viewer, or one file of a whole run.
+"""Rerun recordings made from run folders: live for a viewer, or one file of a whole run.
 
-They read run folders like any reader: trainings do not know of them, and they may start late.
+`python -m tom.record.rerun.feed STORE RUN` writes one that grows with its run to stdout. They read
+run folders like any reader: trainings do not know of them, and they may start late.
 """
 
 import logging
 import os
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import takewhile
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 import rerun as rr
 
+from tom import plugins
 from tom.envs import ROAD
 from tom.errors import UserError
 from tom.events import Evaluation, Field
@@ -23,7 +26,6 @@ from tom.record.decode import numbers, profiles_of
 from tom.record.files import parse_json_line, replace
 from tom.record.reader import RunReader
 from tom.record.rerun.view import RerunView
-from tom.record.status import DEAD_AFTER_S
 from tom.record.store import Store
 
 POLL_S = 1.0
@@ -150,44 +152,16 @@ class Follower:
         self._view.close(within_s)
 
 
-def stream(run: RunReader, stopping: threading.Event) -> Iterator[bytes]:
-    """The bytes of a recording that grows and ends with the run; empty bytes between updates."""
-    for piece in _growing(run):
-        yield piece
-        if not piece:
-            stopping.wait(POLL_S)
-        if stopping.is_set():
-            return
-
-
-def stream_all(store: Store, stopping: threading.Event) -> Iterator[bytes]:
-    """The bytes of the recordings of all running trainings, also of those that start later.
-
-    A run that cannot be shown is logged once and does not stop the others.
-    """
-    recordings: dict[tuple[str, float], Iterator[bytes]] = {}  # by run and when it was started
-    while not stopping.is_set():
-        for run_id in store.recent(DEAD_AFTER_S):
-            run = RunReader(store.path / run_id)
-            recordings.setdefault((run_id, run.status.started), _growing(run))
-        for (run_id, _), pieces in recordings.items():
-            try:
-                yield from takewhile(bool, pieces)
-            except Exception as error:
-                _log.warning("cannot show %s in Rerun: %s", run_id, error)
-        yield b""
-        stopping.wait(POLL_S)
-
-
-def _growing(run: RunReader) -> Iterator[bytes]:
-    """The bytes of a recording that grows and ends with the run; empty bytes after what is new."""
+def stream(run: RunReader) -> Iterator[bytes]:
+    """The bytes of a recording that grows and ends with the run, as soon as there are new ones."""
     follower = Follower(run)
-    alive = True
-    while alive:
+    while True:
         # A new reader reads it again: before the rows, so that later rows are not missed.
         alive = RunReader(run.path).status.alive
         yield from follower.pieces()
-        yield b""
+        if not alive:
+            return
+        time.sleep(POLL_S)
 
 
 def write(reader: RunReader, path: Path) -> None:
@@ -228,3 +202,16 @@ def _copy(pipe: int, file: BinaryIO, errors: list[OSError]) -> None:
                     file.write(block)
             except OSError as error:
                 errors.append(error)
+
+
+def main() -> None:
+    """Write the growing recording of a run of a store to stdout until the run ends."""
+    plugins.load()
+    store, run_id = sys.argv[1:]
+    for piece in stream(Store(store).run(run_id)):
+        sys.stdout.buffer.write(piece)
+        sys.stdout.buffer.flush()
+
+
+if __name__ == "__main__":
+    main()

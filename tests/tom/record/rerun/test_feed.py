@@ -1,9 +1,7 @@
 """Viewers get what running runs write, whenever they come."""
 
 import json
-import threading
-from collections.abc import Callable, Iterable, Iterator
-from itertools import takewhile
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +14,7 @@ from tom.events import Metrics
 from tom.record import RunReader, Store, layout
 from tom.record.recorder import Recorder
 from tom.record.rerun import feed
-from tom.record.rerun.feed import Follower, Tail, stream, stream_all
+from tom.record.rerun.feed import Follower, Tail, stream
 from tom.record.writer import RunWriter
 
 
@@ -30,37 +28,11 @@ def rows(parts: Iterable[bytes], folder: Path, of: str) -> pd.DataFrame:
     return pd.concat(found)
 
 
-def recordings(parts: Iterable[bytes], folder: Path) -> list[str]:
-    """Whose part each is."""
-    found = []
-    for part in filter(None, parts):
-        (folder / "part.rrd").write_bytes(part)
-        found += [entry.recording_id for entry in RrdReader(folder / "part.rrd").recordings()]
-    return found
-
-
-@pytest.fixture
-def new_pieces(store: Store, monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[bytes]]:
-    """What a viewer of all running trainings gets until there is nothing new."""
-    monkeypatch.setattr(feed, "POLL_S", 0.0)
-    pieces = stream_all(store, threading.Event())
-    return lambda: list(takewhile(bool, pieces))
-
-
-def test_a_viewer_that_comes_late_gets_the_whole_run_and_follows_it(
-    store: Store, tmp_path: Path, new_pieces
-):
-    assert new_pieces() == []
-    recorder = Recorder(RunWriter.create(store, "run", Config))
-    given = events()
-    for event in given[:600]:
-        recorder.consume(event)
-    parts = new_pieces()
-    for event in given[600:]:
-        recorder.consume(event)
-    recorder.finish("finished")
-    parts += new_pieces()
-    assert new_pieces() == []  # the run is over: it is not sent again
+def test_a_viewer_that_comes_late_gets_the_whole_run(store: Store, tmp_path: Path):
+    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
+        for event in events():
+            recorder.consume(event)
+    parts = list(stream(store.run("run")))
     want = store.run("run").metrics()
     table = rows(parts, tmp_path, "model/holdout_nll")
     assert table["env_step"].tolist() == want["env_step"].tolist()
@@ -69,56 +41,12 @@ def test_a_viewer_that_comes_late_gets_the_whole_run_and_follows_it(
     assert len(rows(parts, tmp_path, "weights/profile")) == 10
 
 
-def test_two_trainings_go_to_a_viewer_in_one_stream(store: Store, tmp_path: Path, new_pieces):
-    recorders = [Recorder(RunWriter.create(store, run_id, Config)) for run_id in ("a", "b")]
-    parts: list[bytes] = []
-    for event in events():
-        for recorder in recorders:
-            recorder.consume(event)
-        if event.env_step % 100 == 0:
-            parts += new_pieces()  # pieces of one follow those of the other
-    for recorder in recorders:
-        recorder.finish("finished")
-    parts += new_pieces()
-    whose = recordings(parts, tmp_path)
-    assert set(whose) == {"a", "b"}
-    assert whose != sorted(whose)
-
-
-def test_a_run_that_cannot_be_shown_does_not_stop_the_others(
-    store: Store, tmp_path: Path, new_pieces, monkeypatch: pytest.MonkeyPatch
-):
-    for run_id in ("a", "b"):
-        with Recorder(RunWriter.create(store, run_id, Config)) as recorder:
-            for event in events():
-                recorder.consume(event)
-    follow = Follower.follow
-
-    def failing(self: Follower) -> Iterator[None]:
-        if self.run.run_id == "a":
-            raise RuntimeError("no view")
-        return follow(self)
-
-    monkeypatch.setattr(Follower, "follow", failing)
-    assert set(recordings(new_pieces(), tmp_path)) == {"b"}
-    assert new_pieces() == []
-
-
-def test_a_stream_of_all_that_trains_goes_on_when_nothing_does(store: Store):
-    parts = stream_all(store, threading.Event())
-    assert next(parts) == b""
-    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
-        for event in events():
-            recorder.consume(event)
-        assert next(part for part in parts if part)[:4] == b"RRF2"
-
-
 def test_a_stream_grows_with_the_run_and_ends_with_it(store: Store, tmp_path: Path):
     recorder = Recorder(RunWriter.create(store, "run", Config))
     given = events()
     for event in given[:600]:
         recorder.consume(event)
-    parts = stream(store.run("run"), threading.Event())
+    parts = stream(store.run("run"))
     begun = store.run("run").profiles().env_step.tolist()
     got: list[int] = []
     while got != begun:
@@ -139,7 +67,7 @@ def test_a_long_run_is_streamed_in_pieces(
         for event in events():
             recorder.consume(event)
     rows = (store.run("run").path / layout.METRICS).read_bytes().splitlines()
-    parts = list(stream(store.run("run"), threading.Event()))
+    parts = list(stream(store.run("run")))
     metric = "model/holdout_nll"
     steps = [found for part in parts if (found := _steps(part, tmp_path, metric))]
     assert len(steps) >= len(rows) / 3 > 3
@@ -157,7 +85,7 @@ def test_a_viewer_that_comes_late_gets_many_rows_in_one_chunk(store: Store, tmp_
     with Recorder(RunWriter.create(store, "run", Config)) as recorder:
         for step in range(1, 201):
             recorder.consume(Metrics(step, {"model/train_nll": 1.0 / step}))
-    (tmp_path / "run.rrd").write_bytes(b"".join(stream(store.run("run"), threading.Event())))
+    (tmp_path / "run.rrd").write_bytes(b"".join(stream(store.run("run"))))
     chunks = [
         chunk.to_record_batch()
         for chunk in RrdReader(tmp_path / "run.rrd").stream()
@@ -202,4 +130,4 @@ def test_a_run_of_an_environment_that_nobody_knows__is_shown_but_for_its_robot(r
     content = json.loads((run.path / "config.json").read_text())
     content["env"] = content["config"]["env"] = "nosuch"
     (run.path / "config.json").write_text(json.dumps(content))
-    assert sum(map(len, stream(RunReader(run.path), threading.Event()))) > 10_000
+    assert sum(map(len, stream(RunReader(run.path)))) > 10_000
