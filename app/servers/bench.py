@@ -1,39 +1,21 @@
-"""`tom bench studio`: how long the pages take over a store of many runs.
+"""`tom bench studio`: a store of many runs, and a real studio of it beside its targets."""
 
-The first row is the server's reading of the whole store when it starts. A user who opens the studio
-at that moment waits for all of it and for the first page: the row `opened`. Every other row is one
-drawing of one page after that, or `four readers`: the same page drawn for four browsers one after
-another, which is the time that the last of them waits.
-
-Pages are drawn in this process without a browser, so the times include reading, computing and
-serialising the figures, but neither the start of Python and Streamlit nor the browser's work. CPU
-seconds are given beside wall-clock seconds, because the machine may be busy.
-"""
-
+import argparse
 import json
-import logging
-import os
 import shutil
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import chdir
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from pathlib import Path
-from threading import Event
 
 import numpy as np
 import pandas as pd
 from PIL import Image
-from streamlit.testing.v1 import AppTest
 
 from app.data.studies import FOLDER, QUESTIONS, REPORT
-from app.links import Links
-from app.router import VIEWS
-from app.servers import map_bench
-from app.servers.browser import DRAWN, chromium
-from app.servers.launcher import Studio, serving
-from app.servers.pages import warm
+from app.servers import browser_bench, map_bench
+from app.servers.browser_bench import Measured
 from tom.cli import Parser
 from tom.cli.tables import show
 from tom.envs import ROAD
@@ -44,10 +26,6 @@ from tom.training.presets import resolve
 from tom.training.run import train
 
 RUNS, METRICS, POINTS = 200, 20, 300
-OPEN_S, ANSWER_S = 2.0, 0.5
-"""the targets: opening the studio, and every page after that"""
-READERS = 4
-"""browsers that request a page at the same time; Python serves one after another"""
 KINDS = (
     *((ROAD, learner, {"steps": 60, "fit_every": 30}) for learner in ("mle", "tom")),
     *(
@@ -58,46 +36,8 @@ KINDS = (
 """the trained runs, in turn: task, learner, settings"""
 STUDIES, FIGURES, LINES = 3, 2, 300
 """for the page of studies: number of figures and table lines of each"""
-PAGES = tuple(view.name for view in VIEWS)
-HARNESS = (
-    "import streamlit as st\n"
-    "if 'measured' in st.session_state:\n"
-    "    from app.router import VIEWS, draw\n"
-    "    draw(next(view.page for view in VIEWS if view.name == '{0}'))\n"
-)
-"""The first run of an AppTest searches all installed packages, unlike a running server."""
-TIMEOUT_S = 600
-FITS, FRAMES_A_SECOND = 120, 30
-"""of a run that plays in a browser: its fits, and the target"""
-SETTLE_MS = 5000
-COUNT_FRAMES = """() => new Promise((done) => {
-    const play = document.querySelector(".timeline button");
-    let frames = 0;
-    play.click();
-    const begun = performance.now();
-    const count = () => {
-        frames += 1;
-        const ended = frames > 5 && play.getAttribute("aria-label") === "Play";
-        if (ended) done((1000 * frames) / (performance.now() - begun));
-        else requestAnimationFrame(count);
-    };
-    requestAnimationFrame(count);
-})"""
-"""plays the timeline to its end, and counts the frames that the browser draws meanwhile"""
-
-
-@dataclass(frozen=True)
-class Answer:
-    """CPU and wall-clock seconds of one measurement; the target is for the CPU."""
-
-    what: str
-    cpu_s: float
-    wall_s: float
-    target_s: float | None = ANSWER_S
-
-    @property
-    def met(self) -> bool:
-        return self.target_s is None or self.cpu_s <= self.target_s
+PLAYED, FITS = "inverted-pendulum-tom-0", 120
+"""the run that plays in a browser, and its fits"""
 
 
 def make_store(folder: Path, runs: int) -> None:
@@ -146,109 +86,34 @@ def _lengthen(run: Path, points: int = POINTS) -> None:
     (run / layout.PROFILES).write_text("".join(json.dumps(row) + "\n" for row in every))
 
 
-def frames(store: Path) -> float:
-    """Frames a second of Attention in a browser while `FITS` fits of a run play.
-
-    Raises UserError if there is no browser, RuntimeError if the studio does not start.
-    """
-    config = resolve("inverted-pendulum", "tom", "smoke", {"steps": 400})
-    train(config, Store(store), "played", rerun=False)
-    _lengthen(store / "played", FITS)
-    with serving(Studio(store=store), Event()) as (links, running), chromium() as browser:
-        if running is None:
-            raise RuntimeError("the studio did not start")
-        page = browser.new_page(viewport={"width": 1280, "height": 900})
-        page.goto(links.opened("attention"))
-        page.wait_for_selector(".timeline button:not([disabled])")
-        page.wait_for_function(DRAWN)
-        page.wait_for_timeout(SETTLE_MS)
-        return float(page.evaluate(COUNT_FRAMES))
-
-
-def measure(store: Path) -> Iterator[Answer]:
-    """Read the store, draw every page for the first time, again, and for four readers."""
-    os.environ |= Links(store=str(store)).environment()
-    read = timed("store read", lambda: warm(str(store)))  # as at the start of a server
-    yield replace(read, target_s=None)
-    opened: dict[str, AppTest] = {}
-    for turn in ("first", "again"):
-        for view in PAGES:
-            if view not in opened:
-                opened[view] = _reader(view)
-            answer = timed(f"{view}, {turn}", opened[view].run)
-            if opened[view].exception:
-                raise RuntimeError(opened[view].exception[0].message)
-            yield answer
-            if len(opened) == 1 and turn == "first":
-                both = read.cpu_s + answer.cpu_s, read.wall_s + answer.wall_s
-                yield Answer(f"opened: store read + {view}, first", *both, OPEN_S)
-    for view in PAGES:
-        readers = [_reader(view) for _ in range(READERS)]
-        four = timed(f"{view}, four readers", lambda readers=readers: [r.run() for r in readers])
-        yield replace(four, target_s=OPEN_S)
-
-
-def _reader(view: str) -> AppTest:
-    """A browser's session on a page that is not drawn yet."""
-    reader = AppTest.from_string(HARNESS.format(view), default_timeout=TIMEOUT_S)
-    reader.run()
-    reader.session_state["measured"] = True
-    return reader
-
-
-def timed(what: str, do: Callable[[], object]) -> Answer:
-    """Time one call of `do`; the CPU time is that of all threads of this process."""
-    wall, cpu = time.perf_counter(), time.process_time()
-    do()
-    return Answer(what, time.process_time() - cpu, time.perf_counter() - wall)
-
-
 def main(argv: Sequence[str] | None = None) -> int:
-    """Make a store and measure: 0 if every page meets its target, 1 if not, 2 for bad input."""
+    """Make a store and measure: 0 if every target is met, 1 if not, 2 for bad input."""
     parser = Parser(prog="tom bench studio")
     parser.add_argument("--runs", type=int, default=RUNS, help=f"runs in the store [{RUNS}]")
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--frames", action="store_true", help="frames a second while fits play")
-    parser.add_argument("--map", action="store_true", help="the buffer's map in a browser")
+    parser.add_argument("--map", action="store_true", help="the buffer's map")
     args = parser.parse_args(argv)
-    if args.map:
-        return _map(json_wanted=args.json)
-    if args.frames:
-        with tempfile.TemporaryDirectory() as folder:
-            drawn = frames(Path(folder))
-        print(
-            json.dumps({"frames_per_s": drawn, "target": FRAMES_A_SECOND})
-            if args.json
-            else f"{drawn:.1f} frames a second while {FITS} fits play (target {FRAMES_A_SECOND})"
-        )
-        return 0 if drawn >= FRAMES_A_SECOND else 1
     if args.runs < len(KINDS):
         parser.error(f"--runs {args.runs}: at least {len(KINDS)}, one of each kind")
-    logging.disable(logging.WARNING)  # Streamlit warns that there is no server
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
-        make_store(Path(folder) / "runs", args.runs)
+        store = Path(folder) / "runs"
+        if args.map:
+            return _shown("the buffer's map in Chromium", map_bench.measure(Path(folder)), args)
+        make_store(store, args.runs)
+        _lengthen(store / PLAYED, FITS)
         make_studies(Path(folder) / FOLDER)
-        answers = list(measure(Path(folder) / "runs"))
-    rows = [{**asdict(answer), "met": answer.met} for answer in answers]
+        title = f"{args.runs} runs, {METRICS} metrics x {POINTS} points, in Chromium"
+        return _shown(title, browser_bench.measure(store, PLAYED), args)
+
+
+def _shown(title: str, found: Iterable[Measured], args: argparse.Namespace) -> int:
+    """Print what was measured: 0 if every target is met, else 1."""
+    rows = [{**asdict(one), "met": one.met} for one in found]
     if args.json:
         print(json.dumps(rows))
     else:
-        cells = [[_cell(value) for value in row.values()] for row in rows]
-        show(f"{args.runs} runs, {METRICS} metrics x {POINTS} points", list(rows[0]), cells)
-    return 0 if all(answer.met for answer in answers) else 1
-
-
-def _map(*, json_wanted: bool) -> int:
-    """Print what `map_bench` measures: 0 if every target is met, else 1."""
-    with tempfile.TemporaryDirectory() as folder:
-        found = list(map_bench.measure(Path(folder)))
-    rows = [{**asdict(one), "met": one.met} for one in found]
-    if json_wanted:
-        print(json.dumps(rows))
-    else:
-        cells = [[_cell(value) for value in row.values()] for row in rows]
-        show("the buffer's map in Chromium", list(rows[0]), cells)
-    return 0 if all(one.met for one in found) else 1
+        show(title, list(rows[0]), [[_cell(value) for value in row.values()] for row in rows])
+    return 0 if all(row["met"] for row in rows) else 1
 
 
 def _cell(value: object) -> str:

@@ -1,7 +1,6 @@
 """`tom bench studio --map`: how long the buffer's map takes in a browser, by the number of rows."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
@@ -9,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.servers.browser import chromium
+from app.servers.browser_bench import Measured
 from app.servers.launcher import Studio, serving
 from tom.data.transitions import Transitions
 from tom.envs import task
@@ -76,21 +76,6 @@ STEP = """async () => {
 """moves the timeline from fit to fit; median seconds until the map shows the fit"""
 
 
-@dataclass(frozen=True)
-class Measured:
-    """One number of the page, in seconds or MB, and its target."""
-
-    rows: int
-    what: str
-    value: float
-    unit: str
-    target: float | None
-
-    @property
-    def met(self) -> bool:
-        return self.target is None or self.value <= self.target
-
-
 def make_run(store: Path, rows: int, fits: int = 3) -> str:
     """A run of Hopper's dimensions with `rows` rows of noise, and weights that differ in it."""
     known, draw = task(ENV), np.random.default_rng(0)
@@ -131,13 +116,14 @@ def measure(folder: Path, sizes: tuple[int, ...] = tuple(DRAWN_S)) -> Iterator[M
                 page.wait_for_timeout(SETTLE_MS)
                 target = DRAWN_S.get(rows) if turn == "again" else None
                 drawn = float(page.evaluate(CLICK))
-                yield Measured(rows, f"click to map, {turn}", drawn, "s", target)
+                yield Measured(f"{rows:,} rows, {turn}: click to map", drawn, "s", target)
             page.wait_for_function("document.querySelector('.buffer-map').dataset.loaded")
             page.wait_for_timeout(SETTLE_MS)
-            yield Measured(rows, "brush", page.evaluate(BRUSH), "s", BRUSHED_S.get(rows))
+            yield Measured(f"{rows:,} rows: brush", page.evaluate(BRUSH), "s", BRUSHED_S.get(rows))
             page.wait_for_timeout(SETTLE_MS)
-            yield Measured(rows, "timeline step", page.evaluate(STEP), "s", STEPPED_S.get(rows))
-            yield Measured(rows, "page memory", memory(page), "MB", MEMORY_MB.get(rows))
+            step = page.evaluate(STEP)
+            yield Measured(f"{rows:,} rows: timeline step", step, "s", STEPPED_S.get(rows))
+            yield Measured(f"{rows:,} rows: page memory", memory(page), "MB", MEMORY_MB.get(rows))
 
 
 def memory(page: "Page") -> float:

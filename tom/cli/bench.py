@@ -78,9 +78,6 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument(
         "--map", action="store_true", help="the buffer's map in a browser, instead (studio)"
     )
-    parser.add_argument(
-        "--frames", action="store_true", help="frames a second while fits play, instead (studio)"
-    )
     parser.set_defaults(run=run)
 
 
@@ -89,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError("--into is of the tables of `tom bench parts`: leave it out")
     if args.what == "studio":
         runs = [] if args.runs is None else ["--runs", str(args.runs)]
-        more = [*(["--json"] * args.json), *(["--frames"] * args.frames), *(["--map"] * args.map)]
+        more = [*(["--json"] * args.json), *(["--map"] * args.map)]
         hand_over("app.servers.bench", [*runs, *more])
     content, tables = MEASUREMENTS[args.what](args)
     if args.json:

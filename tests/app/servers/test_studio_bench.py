@@ -1,24 +1,25 @@
 """The store that `tom bench studio` measures with, and what its rows say."""
 
 import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from app.data import readers, studies
-from app.router import VIEWS
+from app.servers import browser_bench
 from app.servers.bench import (
     FIGURES,
     KINDS,
     LINES,
     METRICS,
-    OPEN_S,
     POINTS,
     STUDIES,
     main,
     make_store,
     make_studies,
-    measure,
 )
 from tom.cli import bench
 from tom.cli import main as tom
@@ -50,23 +51,6 @@ def test_the_studies_have_figures_and_a_table(tmp_path: Path) -> None:
         assert len(table) == LINES
 
 
-def test_opening_is_the_reading_of_the_store_and_the_first_page(
-    store: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(os, "environ", os.environ.copy())
-    rows = list(measure(store))
-    read, first, opened = rows[:3]
-    assert [read.what, first.what] == ["store read", "answer, first"]
-    assert opened.cpu_s == read.cpu_s + first.cpu_s
-    assert (read.target_s, opened.target_s) == (None, OPEN_S)
-    pages = [row.what for row in rows if row is not opened][1:]
-    names = [view.TITLE for view in VIEWS]
-    assert len(pages) == 3 * len(names)
-    four = [row for row in rows if row.what.endswith(", four readers")]
-    assert [row.target_s for row in four] == [OPEN_S] * len(names)
-    assert all(row.cpu_s > 0 for row in rows)
-
-
 def test_the_number_of_runs_reaches_the_measurement(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -75,3 +59,18 @@ def test_the_number_of_runs_reaches_the_measurement(
         tom(["bench", "studio", "--runs", "2", "--json"])
     assert ended.value.code == 2
     assert f"--runs 2: at least {len(KINDS)}" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_memory_and_processor_seconds_are_those_of_all_processes_below() -> None:
+    child = (
+        "import time; held = bytearray(b'x') * 10**8; sum(range(10**7)); print(1); time.sleep(99)"
+    )
+    parent = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {child!r}])"
+    command = [sys.executable, "-c", parent]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        assert 100 < browser_bench.memory_mb(process.pid) < 150
+        assert browser_bench.processor_s(process.pid) > 0.05
+        os.killpg(process.pid, signal.SIGKILL)

@@ -1,0 +1,180 @@
+"""What `tom bench studio` measures: a real studio and its browsers, beside the targets.
+
+Memory and processor seconds are those of all the studio's processes, which only Linux tells;
+memory that they share counts once.
+"""
+
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING
+
+from app.router import VIEWS
+from app.scenes.film import cinema
+from app.scenes.film.story import story
+from app.servers.browser import DRAWN, chromium
+from app.servers.cinema import opened, video
+from tom.machine import processes
+from tom.record.store import Store
+
+if TYPE_CHECKING:
+    from playwright.sync_api import BrowserContext, Page
+
+FIRST_S, PAGE_S, FOUR_CPU_S = 6.0, 2.0, 0.3
+FRESH_MB, USED_MB, CHANGES = 800.0, 1000.0, 200
+IDLE_S, IDLE_PERCENT = 20.0, 2.0
+FRAMES_A_SECOND = 30.0
+FILM_S = 60.0
+"""length of the film, and the seconds that it may take"""
+READERS = 4
+STOP_S = 5.0
+SETTLE_MS, TIMEOUT_MS = 5000, 120_000
+COUNT_FRAMES = """() => new Promise((done) => {
+    const play = document.querySelector(".timeline button");
+    let frames = 0;
+    play.click();
+    const begun = performance.now();
+    const count = () => {
+        frames += 1;
+        const ended = frames > 5 && play.getAttribute("aria-label") === "Play";
+        if (ended) done((1000 * frames) / (performance.now() - begun));
+        else requestAnimationFrame(count);
+    };
+    requestAnimationFrame(count);
+})"""
+"""plays the timeline to its end, and counts the frames that the browser draws meanwhile"""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One number of the studio, and the most (or least) that it should be."""
+
+    what: str
+    value: float
+    unit: str
+    target: float | None
+    at_least: bool = False
+
+    @property
+    def met(self) -> bool:
+        if self.target is None:
+            return True
+        return self.value >= self.target if self.at_least else self.value <= self.target
+
+
+def measure(store: Path, played: str, changes: int = CHANGES) -> Iterator[Measured]:
+    """Start a studio of `store`, turn its pages, leave them alone, play the fits of a run, film it.
+
+    Raises UserError if there is no browser, RuntimeError if the studio does not start.
+    """
+    began = time.monotonic()
+    with _studio(store) as (pid, address), chromium() as browser:
+        contexts = [browser.new_context(base_url=address) for _ in range(READERS)]
+        page = _tab(contexts[0])
+        page.goto(address)
+        _wait(page)
+        yield Measured("start to first useful page", time.monotonic() - began, "s", FIRST_S)
+        page.wait_for_timeout(SETTLE_MS)
+        yield Measured("memory, fresh", memory_mb(pid), "MB", FRESH_MB)
+        for view in VIEWS:
+            taken = median(_turn_to(page, view.TITLE) for _ in range(3))
+            yield Measured(f"{view.TITLE}, one browser", taken, "s", PAGE_S)
+            page.wait_for_timeout(SETTLE_MS)
+            before = processor_s(pid)
+            page.wait_for_timeout(1000 * IDLE_S)
+            busy = 100 * (processor_s(pid) - before) / IDLE_S
+            yield Measured(f"{view.TITLE}, idle", busy, "% of a core", IDLE_PERCENT)
+        page.goto(f"/attention?run={played}")
+        page.wait_for_selector(".timeline button:not([disabled])")
+        page.wait_for_timeout(SETTLE_MS)
+        drawn = float(page.evaluate(COUNT_FRAMES))
+        yield Measured("fits that play", drawn, "frames/s", FRAMES_A_SECOND, at_least=True)
+        tabs = [page, *(_tab(context) for context in contexts[1:])]
+        for view in VIEWS:
+            before = processor_s(pid)
+            for tab in tabs:
+                tab.goto(f"/{view.PATH}", wait_until="commit")
+            for tab in tabs:
+                _wait(tab)
+            page.wait_for_timeout(1000)
+            each = (processor_s(pid) - before) / READERS
+            yield Measured(f"{view.TITLE}, {READERS} browsers", each, "CPU s a page", FOUR_CPU_S)
+        for tab in tabs[1:]:
+            tab.close()
+        for i in range(changes):
+            _turn_to(page, VIEWS[i % len(VIEWS)].TITLE)
+        yield Measured(f"memory, {changes} pages on", memory_mb(pid), "MB", USED_MB)
+    run = Store(store).run(played)
+    with opened(cinema(story(run), run.learner, "light", FILM_S)) as tab:
+        began = time.monotonic()
+        video(tab, FILM_S)
+        yield Measured("film of a minute", time.monotonic() - began, "s", FILM_S)
+
+
+def _tab(context: "BrowserContext") -> "Page":
+    page = context.new_page()
+    page.set_default_timeout(TIMEOUT_MS)
+    return page
+
+
+def _turn_to(page: "Page", title: str) -> float:
+    """Click on a page's name; seconds until it is drawn."""
+    other = VIEWS[0] if title != VIEWS[0].TITLE else VIEWS[1]
+    if page.title().startswith(title):
+        _turn_to(page, other.TITLE)
+    began = time.monotonic()
+    page.get_by_role("link", name=title).first.click()
+    page.wait_for_function("title => document.title.startsWith(title)", arg=title)
+    _wait(page)
+    return time.monotonic() - began
+
+
+def _wait(page: "Page") -> None:
+    """Wait until the page is drawn."""
+    page.wait_for_selector(".runlist .section")
+    page.wait_for_selector('[data-testid="stSkeleton"]', state="detached")
+    page.wait_for_selector('[data-testid="stStatusWidget"]', state="detached")
+    page.wait_for_function(DRAWN)
+
+
+@contextmanager
+def _studio(store: Path) -> Iterator[tuple[int, str]]:
+    """A studio as a user starts it: its process, and the address that it prints."""
+    command = [sys.executable, "-m", "app", "--store", str(store), "--no-browser"]
+    studio = processes.start(command, subprocess.PIPE)
+    try:
+        assert studio.stdout is not None
+        found = re.search(r"http://\S+", studio.stdout.readline().decode())
+        if found is None:
+            raise RuntimeError("the studio did not start")
+        yield studio.pid, found[0]
+    finally:
+        processes.stop([studio], STOP_S)
+
+
+def _family(pid: int) -> list[Path]:
+    """What the kernel says of a process and of all below it."""
+    found = [Path("/proc", str(pid))]
+    for one in found:
+        for thread in (one / "task").iterdir():
+            found += [Path("/proc", child) for child in (thread / "children").read_text().split()]
+    return found
+
+
+def memory_mb(pid: int) -> float:
+    """MB of a process and of all below it."""
+    kept = [(one / "smaps_rollup").read_text().partition("Pss:")[2] for one in _family(pid)]
+    return sum(int(text.split()[0]) for text in kept) * 1024 / 1e6
+
+
+def processor_s(pid: int) -> float:
+    """Processor seconds that a process and all below it have used."""
+    rows = [(one / "stat").read_text().rpartition(")")[2].split() for one in _family(pid)]
+    return sum(int(ticks) for row in rows for ticks in row[11:13]) / os.sysconf("SC_CLK_TCK")
