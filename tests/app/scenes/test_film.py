@@ -18,7 +18,7 @@ from app.servers.cinema import opened, video
 from tom.envs import task
 from tom.envs.scene import model
 from tom.errors import UserError
-from tom.record.manage import rename
+from tom.record.manage import label
 from tom.record.reader import RunReader
 from tom.record.store import Store
 
@@ -91,7 +91,7 @@ def test_the_film_has_the_name_that_the_run_has_now(
     shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
     set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
     app = draw("replays", part="Film")
-    rename(Store(tmp_path), PENDULUM_TOM, "the long one")
+    label(Store(tmp_path), PENDULUM_TOM, name="the long one")
     [film] = app.run().get("iframe")
     assert '"title":"the long one"' in film.proto.srcdoc
 
