@@ -19,7 +19,6 @@ from tom.cli import main
 from tom.errors import TRY_LATER, TryLaterError, UserError
 from tom.record import Store, checkpoint
 from tom.record.integrity import verify
-from tom.record.manage import trash
 from tom.training.resume import recorded_config, resume, unfinished
 from tom.training.run import train
 
@@ -181,44 +180,3 @@ def test_a_folder_of_a_newer_format__is_read_as_far_as_known_and_not_resumed(sto
     assert "newer version (schema 2" in run.problems[0]
     with pytest.raises(UserError, match="made by another version"):
         resume(store, "stopped", rerun=False)
-
-
-def test_a_folder_of_an_older_format__is_read_with_defaults_and_not_resumed(store: Store):
-    path = store.path / "stopped" / "config.json"
-    content = json.loads(path.read_text())
-    for name in ("machine", "matmul", "preset", "git_commit", "created", "versions"):
-        del content[name]
-    content["schema"] = 0
-    content["config"]["fit_each"] = content["config"].pop("fit_every")
-    path.write_text(json.dumps(content))
-    (store.path / "stopped" / "status.json").write_text('{"state": "stopped", "env_step": 130}')
-    run = store.run("stopped")
-    assert run.status.state == "stopped"
-    assert len(run.metrics()) > 1
-    assert len(store.runs()) == 2
-    with pytest.raises(UserError, match="made by another version"):
-        resume(store, "stopped", rerun=False)
-
-
-@pytest.mark.quick
-def test_folders_that_are_no_runs__are_named_and_the_others_listed(store: Store, tmp_path: Path):
-    (store.path / "empty").mkdir()
-    foreign = store.path / "foreign"
-    foreign.mkdir()
-    (foreign / "config.json").write_text('{"architectures": ["Bert"]}')
-    (foreign / "model.safetensors").write_bytes(bytes(100))
-    (store.path / "list").mkdir()
-    (store.path / "list" / "config.json").write_text("[1, 2]")
-    (tmp_path / "outside").mkdir()
-    (store.path / "link").symlink_to(tmp_path / "outside")
-    (store.path / "loop").symlink_to(store.path)
-    (store.path / "a file").write_text("x")
-    assert {run.run_id for run in store.runs()} == {"whole", "stopped"}
-    for name in ("empty: no run", "foreign: no run", "list: no run", "'link' is a link", "'loop'"):
-        assert name in problems(store)
-    for name in ("empty", "foreign", "list", "link", "loop"):
-        with pytest.raises(UserError):
-            trash(store, name)
-        with pytest.raises(UserError):
-            resume(store, name, rerun=False)
-    assert {p.name for p in store.path.iterdir()} >= {"empty", "foreign", "list", "link", "loop"}

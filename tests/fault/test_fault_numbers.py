@@ -143,7 +143,7 @@ def test_constant_observation_dimensions__goes_on_and_names_them(
     names = (*task("ant").obs_names, *(f"contact {i}" for i in range(78)))
     touching = replace(task("ant"), name="touching", kwargs={}, obs_names=names)
     monkeypatch.setitem(ENVS, "touching", touching)
-    run = warned(tmp_path, config(steps=50).but(env="touching"), "constant-dimension")
+    run = warned(tmp_path, config(steps=100).but(env="touching"), "constant-dimension")
     assert np.isfinite(run.metrics()["model/train_nll"].dropna()).all()
 
 

@@ -132,17 +132,6 @@ def test_a_writer_thought_dead_wakes_after_another_machine_took_over__it_writes_
     assert_same_record(run, train(config(), store, "b", rerun=False))
 
 
-def test_rows_of_the_old_machine_that_arrive_late__end_nowhere(tmp_path: Path):
-    """What its kernel still had to send when the run was taken over."""
-    run = stopped(Store(tmp_path), 130)
-    late = os.open(run.path / "metrics.jsonl", os.O_WRONLY | os.O_APPEND)
-    (run.path / ".writer").write_text("the boot of another machine")
-    held = RunWriter(run.path, config())
-    os.write(late, b'{"env_step": 1')
-    assert not (run.path / "metrics.jsonl").read_bytes().endswith(b": 1")
-    held.close()
-
-
 def _start_one(path: Path) -> None:
     train(config(steps=50, exploration_steps=45), Store(path), rerun=False)
 

@@ -13,7 +13,7 @@ from same_records import untimed
 from tom.cli import main
 from tom.errors import StartAgainError
 from tom.record import Store, checkpoint
-from tom.record.integrity import repair, verify, write_digests
+from tom.record.integrity import repair, verify
 from tom.training.resume import resume
 from tom.training.run import train
 
@@ -123,14 +123,3 @@ def test_a_buffer_that_was_lost__is_a_problem_of_the_checkpoint_that_counts_on_i
     shutil.rmtree(run.path / "buffer")
     (run.path / "buffer").mkdir()
     assert any("buffer" in problem for problem in verify(run))
-
-
-def test_a_damaged_row_with_which_copy_and_digests_agree__is_found(store: Store):
-    run = store.run("finished")
-    path = run.path / "metrics.jsonl"
-    path.write_bytes(path.read_bytes().replace(b'{"env_step"', b"{nothing", 1))
-    (run.path / "metrics.parquet").touch()
-    write_digests(run.path)
-    assert any("metrics.jsonl" in problem for problem in verify(run))
-    repair(run)
-    assert verify(run) == []

@@ -3,9 +3,7 @@
 import ast
 import hashlib
 import json
-import pickle
 import re
-import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -108,23 +106,6 @@ def test_a_data_set_whose_array_lies_in_another_file__is_refused_in_one_line(tmp
         file.create_dataset("rewards", (10,), "f4", external=where)
     with pytest.raises(UserError, match="another file"):
         read_dataset(tmp_path / "data.hdf5")
-
-
-def test_a_pickle_in_place_of_settings__is_not_executed_and_is_no_run(tmp_path: Path):
-    run = stopped(Store(tmp_path), 130)
-    (run.path / "config.json").write_bytes(pickle.dumps(Evil(tmp_path / "executed")))
-    assert Store(tmp_path).runs() == []
-    (run.path / "config.json").write_text("!!python/object/apply:os.system ['touch executed']")
-    assert Store(tmp_path).runs() == []
-    assert not (tmp_path / "executed").exists()
-
-
-def test_an_archive_that_names_files_outside__writes_nothing(tmp_path: Path):
-    run = stopped(Store(tmp_path / "store"), 130)
-    with zipfile.ZipFile(run.path / "episodes" / "000000080.npz", "w") as archive:
-        archive.writestr("../../../escaped.npy", b"x")
-    RunReader(run.path).episodes(80)
-    assert not list(tmp_path.rglob("escaped*"))
 
 
 ESCAPES = "\x1b]0;owned\x07\x1b[2J\x9b31mred\r\nfake line\u202edrow"

@@ -1,6 +1,5 @@
 """Resume a training from its newest undamaged checkpoint."""
 
-from collections.abc import Mapping
 from typing import Any, Unpack
 
 import numpy as np
@@ -14,7 +13,6 @@ from tom.errors import StartAgainError, TryLaterError, UserError, invalid_value,
 from tom.events import Notice
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
-from tom.mbpo import Mbpo
 from tom.record import RunReader, Store, checkpoint, lock
 from tom.record.checkpoint import Checkpoint
 from tom.record.files import set_aside
@@ -168,9 +166,7 @@ def _changed_settings(reader: RunReader, saved: Checkpoint, config: AnyConfig) -
 
     Raises StartAgainError for a checkpoint of another learner or environment.
     """
-    before, now = saved.state.get("config"), config.model_dump(mode="json")
-    if not isinstance(before, Mapping):  # from an earlier version
-        return ""
+    before, now = saved.state["config"], config.model_dump(mode="json")
     for name in ("learner", "env"):
         if before.get(name) != now[name]:
             raise StartAgainError(
@@ -194,6 +190,11 @@ def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
         raise StartAgainError(
             f"run '{reader.run_id}' has no checkpoint that is whole: start it again"
         )
+    if "sha256" not in saved.state.get("record", {}).get("files", {}):  # before 2026-11-26
+        raise StartAgainError(
+            f"the checkpoint of run '{reader.run_id}' at step {saved.env_step} is another "
+            "version's: start it again"
+        )
     if _complete(reader, saved, config):
         raise UserError(
             f"run '{reader.run_id}' is complete at step {saved.env_step}: give it more with --steps"
@@ -214,8 +215,7 @@ def _complete(reader: RunReader, saved: Checkpoint, config: AnyConfig) -> bool:
     """
     if saved.env_step < config.total_steps:
         return False
-    planned = saved.state.get("config")
-    same_end = isinstance(planned, dict) and planned.get("steps") == config.steps
+    same_end = saved.state.get("config", {}).get("steps") == config.steps
     at_end = saved.env_step == config.total_steps and same_end
     return not at_end or reader.status.state == "finished"
 
@@ -226,16 +226,8 @@ def _restore(
     """Restore `training` from the checkpoint; returns the mark of its record."""
     try:
         state = saved.state["training"]
-        own = set(training.learner.state_dict()) if isinstance(training, Mbpo) else None
-        if own is not None and set(state["learner"]) != own:
-            raise StartAgainError(
-                f"the checkpoint of run '{reader.run_id}' is of another learner than "
-                f"{reader.learner}: put back its config.json, or start it again"
-            )
         training.load_state_dict(state, *_collected(reader, state["collected"]))
-        if "watch" in saved.state:
-            watch.load_state_dict(saved.state["watch"])
-        _ = saved.state["record"]["files"]["sha256"]  # checkpoints before 2026-11-26 have none
+        watch.load_state_dict(saved.state["watch"])
         return saved.state["record"]
     except UNFIT as error:
         raise StartAgainError(

@@ -115,7 +115,7 @@ class Watch:
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         self._given, self._short = set(state["said"]), state["short"]
-        self._checked = state.get("checked", 0)
+        self._checked = state["checked"]
 
 
 SHORT = (

@@ -75,14 +75,3 @@ def test_a_closed_part_of_a_run_is_named_and_the_others_are_verified(
     assert any(line.startswith(f"closed-run: {part}") for line in said)
     for words in (["list"], ["size"], ["prune", "--keep", "0"]):
         assert main(["runs", *words, "--store", str(store)]) == 0
-
-
-def test_a_training_whose_checkpoints_are_closed_does_not_begin_anew(store: Path, capsys):
-    """As a sweep starts it."""
-    words = [*TRAIN, "--learner", "mle", "--store", str(store), "--run-id", "mine"]
-    assert main([*words, "--resume", "auto"]) == 0
-    (store / "mine" / "status.json").write_text('{"state": "stopped", "env_step": 200}')
-    (store / "mine" / "checkpoint").chmod(0)
-    assert main([*words, "--resume", "auto"]) == 75
-    assert "checkpoint" in capsys.readouterr().err
-    assert not (store / ".trash").exists()

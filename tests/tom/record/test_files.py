@@ -1,22 +1,18 @@
 import json
 import resource
-import shutil
 import signal
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from threading import Event, Thread
 
 import numpy as np
 import pytest
 
 from tom.record.files import (
     JsonLines,
-    files_in,
     read_json_lines,
     replace,
     replace_json,
-    size_of,
 )
 
 
@@ -110,25 +106,3 @@ def test_a_row_that_does_not_fit_the_disk_leaves_no_part_of_itself(tmp_path: Pat
     writer.join()
     assert writer.exitcode == 0
     assert read_json_lines(tmp_path / "m") == ([{"env_step": 1}, {"env_step": 3}], [])
-
-
-def test_files_are_counted_while_others_come_and_go(tmp_path: Path):
-    (tmp_path / "kept").write_bytes(bytes(7))
-    (tmp_path / "link").symlink_to(tmp_path / "kept")
-    done = Event()
-
-    def rotate() -> None:
-        while not done.is_set():
-            folder = tmp_path / "checkpoint" / "1"
-            folder.mkdir(parents=True)
-            (folder / "state.pt").touch()
-            shutil.rmtree(tmp_path / "checkpoint")
-
-    writer = Thread(target=rotate)
-    writer.start()
-    try:
-        assert {size_of(tmp_path) for _ in range(2000)} == {7}
-    finally:
-        done.set()
-        writer.join()
-    assert [path.name for path, _ in files_in(tmp_path)] == ["kept"]

@@ -32,13 +32,6 @@ def test_truncated_files_are_left_out_and_named(record):
     assert [problem.split()[0] for problem in run.problems] == names
 
 
-def test_a_pickle_in_an_array_file_is_not_loaded(record):
-    run = record()
-    np.savez(run.path / "episodes" / "000000500.npz", reward_0=np.array([print], dtype=object))
-    assert run.episodes(500) == []
-    assert "allow_pickle" in problem(run)
-
-
 def test_rows_that_came_after_the_parquet_copy_are_read(record):
     run = record()
     rows = run.path / "metrics.jsonl"
@@ -112,16 +105,6 @@ def test_a_run_whose_heart_stopped_is_dead(record, age: float, shown: str):
     path.write_text(json.dumps(content))
     assert run.status.shown == shown
     assert run.status.alive == (shown == "running")
-
-
-def test_a_newer_run_is_read_as_far_as_possible_and_said_to_be_newer(record):
-    run = record()
-    content = json.loads((run.path / "config.json").read_text()) | {"schema": 2}
-    (run.path / "config.json").write_text(json.dumps(content))
-    run = RunReader(run.path)
-    assert run.is_run
-    assert len(run.metrics()) == STEPS // FIT
-    assert "newer version (schema 2" in problem(run)
 
 
 @pytest.mark.parametrize(

@@ -48,19 +48,6 @@ def test_a_sweep_into_an_object_store_and_its_runs_out_of_it(
     assert (run.status.state, len(run.buffer()[0]), run.problems) == ("finished", 60, [])
 
 
-@pytest.mark.parametrize("variable", ["AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3"])
-@pytest.mark.parametrize("endpoint", ["localhost:9000", "ftp://localhost"])
-def test_an_endpoint_that_is_no_address_is_one_line(
-    endpoint: str, variable: str, monkeypatch: pytest.MonkeyPatch, capsys
-):
-    monkeypatch.delenv("AWS_ENDPOINT_URL_S3", raising=False)
-    monkeypatch.setenv(variable, endpoint)
-    assert code_of(["sweep", *SMOKE, "--store", "s3://store/x"]) == 2
-    said = capsys.readouterr().err
-    assert f"{variable}={endpoint}" in said
-    assert said.count("\n") == 1
-
-
 @pytest.mark.parametrize(
     ("words", "named"),
     [

@@ -242,19 +242,6 @@ def killed(driver: Driver, job: Job) -> None:
     job.process.kill()
 
 
-def test_each_failure_doubles_the_wait(tmp_path: Path):
-    (trial,) = trials(checked(PLAN))
-    driver = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=1000)
-    (job,) = driver.jobs
-    waits = []
-    for attempt in range(1, ATTEMPTS):
-        killed(driver, job)
-        job.attempts = attempt
-        until(lambda: job.process is None, driver.poll)
-        waits.append(job.not_before - time.monotonic())
-    assert waits == pytest.approx([1000 * 2**i for i in range(ATTEMPTS - 1)], abs=100)
-
-
 def test_nothing_is_started_on_a_full_disk(tmp_path: Path):
     planned = trials(checked({"env": "inverted-pendulum", "learner": "mle", "preset": "smoke"}))
     driver = Driver(FolderBackend(Store(tmp_path)), planned, LocalEngine(1), low_bytes=1e18)

@@ -8,12 +8,10 @@ from tom.cli import Parser
 from tom.cli.parser import overrides
 from tom.cli.train import add_parser
 from tom.errors import UserError
-from tom.events import Tick
 from tom.record import Store
 from tom.record.export import export_small
-from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
-from tom.training.plan import checked, is_done, read_plan, same_run, steps_beyond, trials
+from tom.training.plan import checked, read_plan, same_run, trials
 from tom.training.presets import resolve
 
 SMALL = {
@@ -115,37 +113,3 @@ def test_a_run_is_known_by_its_settings_not_by_its_name(tmp_path: Path):
     longer = trials(checked({**SMALL, "steps": 700}))[0]
     assert same_run(longer, store.runs()) is None
     assert longer.run_id != first.run_id
-
-
-def stopped_at(step: int, writer: RunWriter) -> None:
-    with Recorder(writer) as recorder:
-        recorder.consume(Tick(step, "optimise"))
-        recorder.finish("stopped")
-
-
-def test_a_run_that_was_given_more_steps_is_done_once_it_has_those_of_the_trial(tmp_path: Path):
-    store = Store(tmp_path)
-    trial = trials(checked(SMALL))[0]
-    steps, more = trial.config.steps, trial.config.but(steps=2 * trial.config.steps)
-    stopped_at(steps - 1, RunWriter.create(store, trial.run_id, more))
-    (run,) = store.runs()
-    assert same_run(trial, [run]) is run
-    assert not is_done(trial.config, run)
-    stopped_at(steps, RunWriter(run.path, more))
-    assert is_done(trial.config, store.run(trial.run_id))
-    longer = trials(checked({**SMALL, "steps": 3 * steps}))[0]
-    assert same_run(longer, store.runs()) is None
-    RunWriter.create(store, "by-hand", trial.config).close()
-    found = same_run(trial, store.runs())
-    assert found is not None
-    assert found.run_id == "by-hand"
-
-
-def test_a_finished_run_of_fewer_steps_is_not_done(tmp_path: Path):
-    trial = trials(checked(SMALL))[0]
-    fewer = trial.config.but(steps=trial.config.steps - 1)
-    with Recorder(RunWriter.create(Store(tmp_path), trial.run_id, fewer)) as recorder:
-        recorder.consume(Tick(fewer.steps, "optimise"))
-    (run,) = Store(tmp_path).runs()
-    assert steps_beyond(trial.config, run) == -1
-    assert not is_done(trial.config, run)
