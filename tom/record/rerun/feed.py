@@ -14,13 +14,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import numpy as np
 import rerun as rr
 
 from tom import plugins
 from tom.envs import ROAD
 from tom.errors import UserError
-from tom.events import Evaluation, Field
 from tom.record import layout
 from tom.record.decode import numbers, profiles_of
 from tom.record.files import parse_json_line, replace
@@ -121,23 +119,14 @@ class Follower:
         run, view = self.run, self._view
         if run.env == ROAD:
             if (run.path / layout.segment(0)).exists():
-                yield layout.BUFFER, 0, lambda: view.places(np.asarray(run.buffer()[0].obs))
+                yield layout.BUFFER, 0, view.places
             for step in run.snapshot_steps():
-                yield layout.snapshot(step), step, partial(self._weights, step)
-        for name in run.field_names():
-            for step in run.field_steps(name):
-                yield layout.field(name, step), step, partial(self._field, name, step)
+                yield layout.snapshot(step), step, partial(view.weights, step)
+            for name in run.field_names():
+                for step in run.field_steps(name):
+                    yield layout.field(name, step), step, partial(view.picture, step, name)
         for step in run.evaluation_steps():
-            yield layout.episodes(step), step, partial(self._evaluation, step)
-
-    def _weights(self, step: int) -> None:
-        self._view.weights(step, self.run.snapshot(step)["weight"].to_numpy())
-
-    def _field(self, name: str, step: int) -> None:
-        self._view.field(Field(step, name, self.run.field(name, step)))
-
-    def _evaluation(self, step: int) -> None:
-        self._view.evaluation(Evaluation(step, self.run.episodes(step)))
+            yield layout.episodes(step), step, partial(view.evaluation, step)
 
     def pieces(self) -> Iterator[bytes]:
         """New data as bytes, none of them empty, if there is no sink."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tom.config import EvaluationConfig
 from tom.envs import ROAD, scene
-from tom.events import Episode, Evaluation, Field
+from tom.events import Episode
 from tom.learners import LEARNERS
 from tom.metrics import describe
 from tom.record.reader import RunReader
@@ -118,31 +118,34 @@ class RerunView:
         self._stream.set_time("env_step", sequence=env_step)
         self._stream.log(PROFILE, rr.BarChart(np.nan_to_num(bins), color=self._colour))
 
-    def places(self, places: NDArray) -> None:
-        """Draw the positions (N, 2) of road-and-rocks' transitions on its map, once."""
-        if self._env == ROAD:
-            self._places = len(places)
-            drawing.places(self._stream, places)
+    def places(self) -> None:
+        """Draw the positions of road-and-rocks' transitions on its map, once."""
+        places = np.asarray(self._run.buffer()[0].obs)
+        self._places = len(places)
+        drawing.places(self._stream, places)
 
-    def weights(self, env_step: int, weight: NDArray) -> None:
-        """Colour road-and-rocks' transitions on its map by their weights (N,)."""
-        if self._env != ROAD:
-            return
+    def weights(self, env_step: int) -> None:
+        """Colour road-and-rocks' transitions on its map by the weights of a fit."""
         if not self._places:  # a resumed run does not collect again
-            self.places(np.asarray(self._run.buffer()[0].obs))
-        if self._places != len(weight):
-            return
-        self._stream.set_time("env_step", sequence=env_step)
-        drawing.weights(self._stream, weight)
+            self.places()
+        weight = self._run.snapshot(env_step)["weight"].to_numpy()
+        if self._places == len(weight):
+            self._stream.set_time("env_step", sequence=env_step)
+            drawing.weights(self._stream, weight)
 
-    def evaluation(self, evaluation: Evaluation) -> None:
+    def picture(self, env_step: int, name: str) -> None:
+        """Draw the map, trajectories or model displacements of road-and-rocks."""
+        self._stream.set_time("env_step", sequence=env_step)
+        drawing.picture(self._stream, name, self._run.field(name, env_step))
+
+    def evaluation(self, env_step: int) -> None:
         """Draw the first episode: its robot, or its observations if there is no robot."""
-        for episode in evaluation.episodes[:1]:
+        for episode in self._run.episodes(env_step)[:1]:
             if episode.qpos is not None and self._model is not None:
-                self._replay(evaluation.env_step, episode.length, {ROBOT: episode.qpos})
+                self._replay(env_step, episode.length, {ROBOT: episode.qpos})
             elif self._env != ROAD:
                 dt = seconds(self._run)
-                self._observe(evaluation.env_step, episode, dt)
+                self._observe(env_step, episode, dt)
                 self._replay_s += episode.length * dt + PAUSE_S
 
     def episode(self, env_step: int, episode: Episode, dt: float, ghost: NDArray | None) -> None:
@@ -166,13 +169,6 @@ class RerunView:
         drawing.car(self._stream, CAR, times, episode.obs, drawing.LEARNT)
         if ghost is not None:
             drawing.car(self._stream, GHOST_CAR, times, ghost, drawing.MODELLED)
-
-    def field(self, field: Field) -> None:
-        """Draw the map, trajectories and model displacements of road-and-rocks."""
-        if self._env != ROAD:
-            return
-        self._stream.set_time("env_step", sequence=field.env_step)
-        drawing.picture(self._stream, field.name, field.arrays)
 
     def close(self, timeout_s: float) -> None:
         """Flush the remaining data. Raises an error if the sink takes too long."""
@@ -252,8 +248,8 @@ def episode_recording(
         every=episode.length + 1,
         layout=episode_blueprint(run.env, episode.qpos is not None, episode.obs.shape[1]),
     )
-    for at in run.field_steps("map")[:1]:
-        view.field(Field(step, "map", run.field("map", at)))
+    if run.env == ROAD and (at := run.field_steps("map")):
+        view.picture(at[0], "map")
     view.episode(step, episode, dt, ghost)
     recorded = view.read()
     view.close(EPISODE_FLUSH_S)
