@@ -1,7 +1,10 @@
 """Progress of a long command: a picture that is redrawn on a terminal, plain lines elsewhere."""
 
+import shlex
 import sys
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from time import monotonic
 from typing import Self, TextIO
 
@@ -11,7 +14,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from tom.events import Evaluation, Event, Notice, Tick
 from tom.harmless import terminal
+from tom.machine.processes import on_stopping
 from tom.readable import duration, score
+from tom.training.run import AnyConfig, RecordingOptions, Stop
 
 PICTURE_EVERY_S = 1.0
 RATE_OVER_S = 300.0
@@ -124,6 +129,18 @@ class ProgressReport(BarDisplay):
         if self._returns:
             parts.append(f"return {score(self._returns[-1])} best {score(max(self._returns))}")
         return " ".join(filter(None, parts))
+
+
+@contextmanager
+def followed(config: AnyConfig, stream: TextIO) -> Iterator[tuple[str, RecordingOptions]]:
+    """Progress of a training inside the block, which a signal stops cleanly.
+
+    Gives its label, and the options for `train` and `resume`.
+    """
+    label, stop = f"{config.env} {config.learner} seed {config.seed}", Stop()
+    with on_stopping(stop), ProgressReport(label, config.total_steps, stream) as progress:
+        command = shlex.join(["tom", *sys.argv[1:]])
+        yield label, {"watchers": (progress.consume,), "command": command, "stop": stop}
 
 
 class CountReport(BarDisplay):

@@ -5,7 +5,6 @@ what is printed, and the exit code.
 """
 
 import json
-import shlex
 import signal
 import sys
 import time
@@ -18,7 +17,7 @@ from matplotlib import rc_context
 from pydantic import ValidationError
 
 from tom.cli.parser import add_json, folder, one_line, whole
-from tom.cli.progress import ProgressReport
+from tom.cli.progress import followed
 from tom.cli.tables import show_rows
 from tom.config import SacRecordingConfig
 from tom.errors import DivergedError
@@ -40,7 +39,7 @@ from tom.studies import (
 )
 from tom.studies.study import Lab, Study, Table, make_folder, say
 from tom.training.resume import resume, unfinished
-from tom.training.run import Stop, train
+from tom.training.run import train
 
 _BEGUN = time.monotonic()  # a study is a separate process
 STUDIES = (road, progression, focus, footprint, capacity, improvement, online, returns, tabular)
@@ -137,12 +136,11 @@ def _run(study: Study, args: Namespace) -> int:
 def record(args: Namespace, store: Store, config: SacRecordingConfig) -> RunReader:
     """Make a recording, or go on with one that was stopped; a signal stops it with a checkpoint."""
     make_folder(args.out)
-    stop, begun = Stop(), unfinished(store, config)
+    begun = unfinished(store, config)
     work = partial(resume, store, begun) if begun else partial(train, config, store)
-    label = f"{config.env} sac seed {config.seed}"
-    with on_stopping(stop), ProgressReport(label, config.total_steps, sys.stderr) as progress:
-        command = shlex.join(["tom", *sys.argv[1:]])
-        made = work(watchers=(progress.consume,), rerun=False, command=command, stop=stop)
-    if stop.asked:
+    with followed(config, sys.stderr) as (_, options):
+        made = work(rerun=False, **options)
+    stop = options.get("stop")
+    if stop is not None and stop.asked:
         raise KeyboardInterrupt
     return made

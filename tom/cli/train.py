@@ -3,7 +3,6 @@
 import argparse
 import json
 import os
-import shlex
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from tom.cli.parser import add_run_options, add_training_options, named, one_line, overrides, whole
-from tom.cli.progress import ProgressReport
+from tom.cli.progress import followed
 from tom.cli.sweep import drive
 from tom.cli.tables import summary
 from tom.data.card import sentence
@@ -27,7 +26,6 @@ from tom.errors import (
 from tom.harmless import terminal
 from tom.learners import LEARNERS
 from tom.machine.memory import REFUSING, out_of_memory, ran_out
-from tom.machine.processes import on_stopping
 from tom.readable import percent, score, size
 from tom.record import RunReader, Store, checkpoint, manage
 from tom.record.files import size_of
@@ -40,7 +38,7 @@ from tom.sweep.engine import LocalEngine
 from tom.training.plan import checked, is_done, steps_beyond, trials
 from tom.training.presets import resolve
 from tom.training.resume import recorded_config, resume, unfinished
-from tom.training.run import AnyConfig, Stop, train
+from tom.training.run import AnyConfig, train
 
 OWN_OPTIONS = ("env", "learner", "preset")
 
@@ -187,17 +185,10 @@ def _watched(
     args: argparse.Namespace, config: AnyConfig, training: Callable[..., RunReader]
 ) -> int:
     """Run `training` with progress on the terminal; a signal stops it cleanly."""
-    stop = Stop()
-    label = f"{config.env} {config.learner} seed {config.seed}"
     stream = sys.stderr if args.json else sys.stdout
-    with on_stopping(stop), ProgressReport(label, config.total_steps, stream) as progress:
+    with followed(config, stream) as (label, options):
         try:
-            done = training(
-                rerun=not args.no_rerun,
-                watchers=(progress.consume,),
-                command=shlex.join(["tom", *sys.argv[1:]]),
-                stop=stop,
-            )
+            done = training(rerun=not args.no_rerun, **options)
         except KeyboardInterrupt:
             print(f"{label}: stopped at once, without a checkpoint", file=sys.stderr)
             return 1

@@ -141,15 +141,26 @@ def _description(reader: RunReader, left_out: Collection[str]) -> dict[str, Any]
 
 def _without_places(made: Mapping[str, Any]) -> dict[str, Any]:
     """A record of how a run was made, whose `command` lacks the options of PLACES."""
-    kept: list[str] = []
-    words = iter(shlex.split(str(made.get("command", ""))))
+    if "command" not in made:
+        return {**made}
+    return {**made, "command": shlex.join(without_options(str(made["command"]), PLACES))}
+
+
+def without_options(
+    command: str, options: Collection[str], flags: Collection[str] = ()
+) -> list[str]:
+    """The words of a shell command without these options and their values; `flags` have none.
+
+    Raises ValueError for what is no shell command.
+    """
+    kept, words = [], iter(shlex.split(command))
     for word in words:
-        name, separator, _ = word.partition("=")
-        if name not in PLACES:
+        name, given, _ = word.partition("=")
+        if name not in options:
             kept.append(word)
-        elif not separator:  # the value is the next word
+        elif not given and name not in flags:  # the value is the next word
             next(words, None)
-    return {**made, **({"command": shlex.join(kept)} if "command" in made else {})}
+    return kept
 
 
 def _chosen_rows(reader: RunReader) -> Iterator[dict[str, Any]]:

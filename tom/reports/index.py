@@ -14,6 +14,7 @@ from tom.harmless import code, fenced, markdown
 from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader, Store
 from tom.record.files import read_json, replace
+from tom.record.thin import without_options
 from tom.reports.report import run_hours, seeds
 from tom.reports.weighing_files import REPORT
 
@@ -121,23 +122,12 @@ def _made(origins: Sequence[Mapping[str, Any]]) -> str:
 
 def short_command(command: str) -> str:
     """A command with its seed as N and without the options for the result's place."""
-    kept: list[str] = []
-    awaited = ""  # the option whose value the next word is
     try:
-        words = shlex.split(command)
+        words = without_options(command, WHERE, FLAGS)
     except ValueError:  # an unclosed quote: not a shell command
         return command
-    for word in words:
-        if word.startswith("--"):
-            name, given, _ = word.partition("=")
-            awaited = "" if given or name in FLAGS else name
-            word = re.sub(r"(?<=^--seed=)\d+$", "N", word)
-        else:
-            name, awaited = awaited, ""
-            word = "N" if name == "--seed" else word
-        if name not in WHERE:
-            kept.append(word)
-    return shlex.join(kept)
+    words = [re.sub(r"^--seed=\d+$", "--seed=N", word) for word in words]
+    return re.sub(r"(?<= --seed )\d+\b", "N", shlex.join(words))
 
 
 def _commits(run: RunReader) -> list[str]:

@@ -20,11 +20,19 @@ TRUE = (90, 200, 120)
 MODELLED = (230, 90, 90)
 
 
+SHAPES = {
+    "capsules": rr.Capsules3D,
+    "ellipsoids": rr.Ellipsoids3D,
+    "cylinders": rr.Cylinders3D,
+    "boxes": rr.Boxes3D,
+}
+
+
 def robot(
     stream: rr.RecordingStream, path: str, times: Times, drawn: scene.Geometry, *, ghost: bool
 ) -> None:
     """Draw the moving robot at `path`; a ghost is translucent and has one colour."""
-    for name in ("capsules", "ellipsoids", "cylinders", "boxes"):
+    for name, kind in SHAPES.items():
         shape: scene.Shape = getattr(drawn, name)
         frames, count = shape.center.shape[:2]
         if not count:
@@ -33,28 +41,19 @@ def robot(
             "colors": GHOST if ghost else shape.color,
             "fill_mode": "transparentfillmajorwireframe" if ghost else "solid",
         }
-        centers, turns = shape.center.reshape(-1, 3), shape.quaternion.reshape(-1, 4)
         if name in ("capsules", "cylinders"):
             radius, half = shape.size.T
             look |= {"radii": radius, "lengths": 2 * half}
         else:
             look |= {"half_sizes": shape.size}
-        match name:
-            case "capsules":
-                ends = shape.capsule_end.reshape(-1, 3)
-                fixed = rr.Capsules3D.from_fields(**look)
-                moving = rr.Capsules3D.columns(translations=ends, quaternions=turns)
-            case "ellipsoids":
-                fixed = rr.Ellipsoids3D.from_fields(**look)
-                moving = rr.Ellipsoids3D.columns(centers=centers, quaternions=turns)
-            case "cylinders":
-                fixed = rr.Cylinders3D.from_fields(**look)
-                moving = rr.Cylinders3D.columns(centers=centers, quaternions=turns)
-            case _:
-                fixed = rr.Boxes3D.from_fields(**look)
-                moving = rr.Boxes3D.columns(centers=centers, quaternions=turns)
-        stream.log(f"{path}/{name}", fixed, static=True)
-        stream.send_columns(f"{path}/{name}", times, moving.partition([count] * frames))
+        moving = {"quaternions": shape.quaternion.reshape(-1, 4)}
+        if name == "capsules":
+            moving["translations"] = shape.capsule_end.reshape(-1, 3)
+        else:
+            moving["centers"] = shape.center.reshape(-1, 3)
+        columns = kind.columns(**moving).partition([count] * frames)
+        stream.log(f"{path}/{name}", kind.from_fields(**look), static=True)
+        stream.send_columns(f"{path}/{name}", times, columns)
 
 
 def floor(stream: rr.RecordingStream, height: float) -> None:
