@@ -132,7 +132,9 @@ class ProgressReport(BarDisplay):
 
 
 @contextmanager
-def followed(config: AnyConfig, stream: TextIO) -> Iterator[tuple[str, RecordingOptions]]:
+def followed(
+    config: AnyConfig, stream: TextIO, *, rerun: bool
+) -> Iterator[tuple[str, RecordingOptions]]:
     """Progress of a training inside the block, which a signal stops cleanly.
 
     Gives its label, and the options for `train` and `resume`.
@@ -140,7 +142,8 @@ def followed(config: AnyConfig, stream: TextIO) -> Iterator[tuple[str, Recording
     label, stop = f"{config.env} {config.learner} seed {config.seed}", Stop()
     with on_stopping(stop), ProgressReport(label, config.total_steps, stream) as progress:
         command = shlex.join(["tom", *sys.argv[1:]])
-        yield label, {"watchers": (progress.consume,), "command": command, "stop": stop}
+        watchers = (progress.consume,)
+        yield label, {"rerun": rerun, "watchers": watchers, "command": command, "stop": stop}
 
 
 class CountReport(BarDisplay):

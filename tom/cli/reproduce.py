@@ -138,8 +138,8 @@ def record(args: Namespace, store: Store, config: SacRecordingConfig) -> RunRead
     make_folder(args.out)
     begun = unfinished(store, config)
     work = partial(resume, store, begun) if begun else partial(train, config, store)
-    with followed(config, sys.stderr) as (_, options):
-        made = work(rerun=False, **options)
+    with followed(config, sys.stderr, rerun=False) as (_, options):
+        made = work(**options)
     stop = options.get("stop")
     if stop is not None and stop.asked:
         raise KeyboardInterrupt

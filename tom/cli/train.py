@@ -186,9 +186,9 @@ def _watched(
 ) -> int:
     """Run `training` with progress on the terminal; a signal stops it cleanly."""
     stream = sys.stderr if args.json else sys.stdout
-    with followed(config, stream) as (label, options):
+    with followed(config, stream, rerun=not args.no_rerun) as (label, options):
         try:
-            done = training(rerun=not args.no_rerun, **options)
+            done = training(**options)
         except KeyboardInterrupt:
             print(f"{label}: stopped at once, without a checkpoint", file=sys.stderr)
             return 1
