@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from tom import readable
 from tom.cli.parser import add_store, whole
-from tom.cli.tables import show, summary
+from tom.cli.tables import show
 from tom.envs import ROAD
 from tom.machine.processes import on_stopping, start, stop
 from tom.record import RunReader, Store
@@ -64,28 +64,18 @@ def _train(args: argparse.Namespace) -> int:
     quiet = ("--no-rerun",) if args.headless else ()
     codes = train_all({name: (*own, *shared, *quiet) for name, own in TRAININGS.items()})
     made = [run for run in store.runs() if run.run_id not in before]
-    _print_table(made)
+    columns = ("environment", "learner", "steps", "last return", "best return", "run")
+    rows = []
+    for run in sorted(made, key=lambda run: (run.env, run.learner)):
+        status = run.status
+        returns = readable.score(status.last_return), readable.score(status.best_return)
+        rows.append((run.env, run.learner, str(status.env_step), *returns, run.run_id))
+    show("What was trained", columns, rows)
     print(seen(made))
     failed = [name for name, code in codes.items() if code]
     if failed:
         print(f"tom demo: failed: {', '.join(failed)}", file=sys.stderr)
     return 1 if failed else 0
-
-
-def _print_table(runs: list[RunReader]) -> None:
-    columns = ("environment", "learner", "steps", "last return", "best return", "run")
-    rows = [
-        (
-            row["env"],
-            row["learner"],
-            str(row["env_step"]),
-            readable.score(row["last_return"]),
-            readable.score(row["best_return"]),
-            row["run_id"],
-        )
-        for row in map(summary, sorted(runs, key=lambda run: (run.env, run.learner)))
-    ]
-    show("What was trained", columns, rows)
 
 
 def seen(runs: Sequence[RunReader]) -> str:

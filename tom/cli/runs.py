@@ -134,7 +134,14 @@ def list_runs(args: argparse.Namespace) -> int:
     runs = _chosen(store, ())
     print_problems(store)
     _check_filters(args, runs)
-    shown = [run for run in runs if _wanted(run, args)]
+    shown = [
+        run
+        for run in runs
+        if args.env in (None, run.env)
+        and args.learner in (None, run.learner)
+        and args.state in (None, run.status.shown)
+        and (args.tag is None or args.tag in run.labels.tags)
+    ]
     rows = list(map(_row, shown))
     if args.json:
         print(json.dumps(rows))
@@ -213,12 +220,6 @@ def _check_filters(args: argparse.Namespace, runs: Sequence[RunReader]) -> None:
         ours = ENV_NAMES if kind == "env" else tuple(LEARNERS)
         if name not in ours:
             raise unknown(kind, name, dict.fromkeys([*ours, *recorded]))
-
-
-def _wanted(run: RunReader, args: argparse.Namespace) -> bool:
-    values = {"env": run.env, "learner": run.learner, "state": run.status.shown}
-    same = all(getattr(args, name) in (None, value) for name, value in values.items())
-    return same and (args.tag is None or args.tag in run.labels.tags)
 
 
 def _row(run: RunReader) -> dict[str, Any]:

@@ -20,7 +20,8 @@ def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> N
     listed = [list(row) for row in rows]
     table = Table()
     for i, column in enumerate(columns):
-        numeric = bool(listed) and all(_is_number(row[i]) for row in listed)
+        known = [row[i].replace(",", "") for row in listed if row[i] != readable.UNKNOWN]
+        numeric = bool(listed) and all(map(is_number, known))
         table.add_column(terminal(column), justify="right" if numeric else "left", overflow="fold")
     for row in listed:
         # Text objects, because Rich would read brackets in strings as markup.
@@ -34,10 +35,6 @@ def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> N
 def show_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
     """Print a table whose columns are the keys of its rows, all with the same keys."""
     show(title, list(rows[0]), [list(map(readable.cell, row.values())) for row in rows])
-
-
-def _is_number(shown: str) -> bool:
-    return shown == readable.UNKNOWN or is_number(shown.replace(",", ""))
 
 
 def print_problems(store: Store) -> None:
