@@ -94,11 +94,6 @@ RISING: dict[Mode, list[tuple[float, str]]] = {
         (1.0, "#fde725"),
     ],
 }
-SEQUENTIAL: dict[Mode, list[tuple[float, str]]] = {
-    "light": [(0.0, "#f6f5f2"), (0.35, "#f3b48f"), (0.7, "#d65a26"), (1.0, "#6b1a02")],
-    "dark": [(0.0, "#20242e"), (0.35, "#7a3415"), (0.7, "#e0682f"), (1.0, "#ffd9a8")],
-}
-
 _RAMP: dict[Mode, tuple[float, float]] = {"light": (0.0, 0.6), "dark": (0.32, 1.0)}
 """the part of viridis that stands out from the page"""
 

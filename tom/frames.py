@@ -21,12 +21,12 @@ from tom.data.unpack import DAMAGE
 from tom.envs import ROAD, bring
 from tom.errors import UserError, reason, unknown
 from tom.learners import WEIGHED_FIRST
-from tom.policy.stored import read_policy
+from tom.policy.stored import distances, read_policy
 from tom.record import RunReader, Store, layout
 from tom.record.decode import read_table
 from tom.record.task_record import dimension_names, task_of
 from tom.reports import weighing_files
-from tom.reports.weighing_files import REPORT, ROWS, WEIGHTS
+from tom.reports.weighing_files import DISTANCE, REPORT, ROWS, WEIGHTS
 
 BINS = 100
 SHOWN = ("learner", "seed", "footprint", "footprint_se", "footprint_noise", "ess", "last_two")
@@ -94,7 +94,7 @@ class Run:
             )
         rows = record[end - len(weight) : end]
         names = dimension_names(self.reader.env, rows, _obs_names(self.reader))
-        more = self._distances(step, rows) | self._errors(rows)
+        more = self._distances(step, rows) | _errors(self.reader, rows)
         more |= self._weighed(end, len(weight), len(record))
         return row_table(record, weight, end, names, more)
 
@@ -112,19 +112,13 @@ class Run:
         if not self.reader.has_policy(step):
             return {}
         policy = read_policy(self.reader.path / layout.policy(step))
-        return {"policy_distance": policy.distances(rows.torch()).numpy()}
-
-    def _errors(self, rows: Transitions) -> dict[str, NDArray]:
-        try:
-            return {"error": step_errors(stored_model(self.reader).predictor, rows)}
-        except UserError:  # it kept no model
-            return {}
+        return {DISTANCE: distances(policy, rows.torch())}
 
     def _weighed(self, end: int, count: int, recorded: int) -> dict[str, NDArray]:
         """The weights that weighings of the same rows made, the newest by name."""
         found: dict[str, NDArray] = {}
         for path in weighing_files.of_run(self.reader.path.parent, self.name):
-            made = _weighing(path)
+            made = read_weighing(path)
             same = made.report["rows"] == count and (made.report.get("step") or recorded) == end
             if same and not weighing_files.is_brush(made.report):
                 found |= {name: made.weights[name].to_numpy() for name in map(str, made.weights)}
@@ -145,6 +139,10 @@ class Weighing:
     """the weighed rows, numpy arrays; None if they are not stored"""
     obs_names: tuple[str, ...] = ()
     """of the task's O dimensions; empty if not known"""
+    policy_distance: NDArray[np.float32] | None = field(default=None, repr=False)
+    """of each row's action to the policy's mean action; None if it is not stored"""
+    run: RunReader | None = field(default=None, repr=False)
+    """whose buffer was weighed; None for other data"""
     _made: tuple[OrderedData, list[Weighed]] | None = field(default=None, repr=False)
 
     @property
@@ -187,7 +185,9 @@ class Weighing:
     def rows(self, of: str | None = None) -> pd.DataFrame:
         """The weighed rows: `row_table`'s columns, then those of `weights`.
 
-        `weight`, and with it the contrast plane, is the column `of`, by default the first one.
+        Between them, where they are known, are `policy_distance` from each action to the mean
+        action of the weighing's policy, and `error`, that of the run's last model. `weight`, and
+        with it the contrast plane, is the column `of`, by default the first one.
         Raises UserError if the rows are not stored, or there is no such column.
         """
         of = str(self.weights.columns[0]) if of is None else of
@@ -195,8 +195,10 @@ class Weighing:
             raise unknown("column", of, map(str, self.weights))
         rows = self._recorded()
         names = dimension_names(str(self.report["env"]), rows, self.obs_names)
-        more = {str(name): self.weights[name].to_numpy() for name in self.weights}
-        return row_table(rows, more[of], len(rows), names, more)
+        weights = {str(name): self.weights[name].to_numpy() for name in self.weights}
+        known = {} if self.policy_distance is None else {DISTANCE: self.policy_distance}
+        more = known | ({} if self.run is None else _errors(self.run, rows)) | weights
+        return row_table(rows, weights[of], len(rows), names, more)
 
     def _recorded(self) -> Transitions:
         if self.recorded is None:
@@ -229,7 +231,7 @@ def load(name: str | Path, store: str | Path = "runs") -> Run | Weighing:
     kept = [path for path in weighing_files.folders(place.path) if path.name == str(name)]
     for path in (Path(name), *kept):
         if (path / REPORT).is_file():
-            return _weighing(path)
+            return read_weighing(path)
     run = find_run(str(name), place)
     if run is None or not run.is_run:
         raise UserError(
@@ -269,26 +271,40 @@ def weigh(
     report = weighing_files.report(plan, weighed, str(policy), step, command, hours)
     weights = pd.DataFrame({f"{one.learner}-s{one.seed}": one.weights for one in weighed})
     rows = plan.data.transitions.numpy()
-    return Weighing(report, weights, rows, plan.known.obs_names, (plan.data, weighed))
+    run = find_run(str(data), Store(Path(store))) if plan.data.stored else None
+    return Weighing(
+        report, weights, rows, plan.known.obs_names, plan.data.policy_distance, run,
+        (plan.data, weighed),
+    )  # fmt: skip
 
 
-def _weighing(path: Path) -> Weighing:
-    """The weighing in a folder. Raises UserError."""
+def read_weighing(path: Path) -> Weighing:
+    """The weighing, or the brush, in a folder. Raises UserError."""
     try:
         report, weights = weighing_files.read_report(path), read_table(path / WEIGHTS)
     except DAMAGE as error:
         raise UserError(f"weighing {path} cannot be read ({reason(error)}): weigh again") from error
     kept = [name for name in weights if str(name).rpartition("-s")[2].isdigit()]
+    distance = weights[DISTANCE].to_numpy() if DISTANCE in weights else None
     in_folder = ROWS in report
     run = RunReader(path) if in_folder else _run_of(path, report)
     if run is None:
-        return Weighing(report, weights.loc[:, kept], None)
+        return Weighing(report, weights.loc[:, kept], None, (), distance)
     recorded = run.buffer()[0].numpy()
     # A step counts a run's rows; those in the folder are the weighed ones alone.
     whole = in_folder or report.get("step") is None
     end = len(weights) if whole else int(report["step"])
     rows = recorded[end - len(weights) : end] if len(weights) <= end <= len(recorded) else None
-    return Weighing(report, weights.loc[:, kept], rows, _obs_names(run))
+    of = None if in_folder else run
+    return Weighing(report, weights.loc[:, kept], rows, _obs_names(run), distance, of)
+
+
+def _errors(run: RunReader, rows: Transitions) -> dict[str, NDArray]:
+    """The one-step errors (N,) of the run's last model, if it kept one."""
+    try:
+        return {"error": step_errors(stored_model(run).predictor, rows)}
+    except UserError:
+        return {}
 
 
 def _obs_names(run: RunReader) -> tuple[str, ...]:

@@ -63,10 +63,10 @@ def contrast(run: RunReader, step: int) -> Contrast | None:
     if weighed is None:
         return None
     names = dimension_names(run.env, weighed.rows, buffer.described(run))
-    table, features = planes.features(weighed.rows, *names)
-    plane = planes.contrast(table, weighed.weight, features)
-    share = planes.explained(plane.project(table), weighed.weight)
-    return Contrast(run.seed, step, planes.loadings(plane.axes[:, 0], features), share)
+    plane = planes.contrast_of(weighed.rows, weighed.weight, names)
+    share = planes.explained(planes.of_rows(plane, weighed.rows), weighed.weight)
+    largest = planes.loadings(plane.axes[:, 0], planes.feature_names(*names))
+    return Contrast(run.seed, step, largest, share)
 
 
 @dataclass(frozen=True)

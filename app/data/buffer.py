@@ -21,6 +21,7 @@ from tom.policy.stored import StoredPolicy
 from tom.record.reader import Recorded, RunReader
 from tom.record.store import Store
 from tom.record.task_record import scene_of, task_of
+from tom.spread import spread
 
 Floats = NDArray[np.float64]
 
@@ -54,45 +55,32 @@ class Rows:
         return len(np.unique(self.version)) < max(len(self), 2)
 
 
-def rows_at(
-    recorded: Transitions, version: NDArray[np.int64], weight: NDArray, end: int
-) -> Rows | None:
-    """The rows of `weight` (N,): the N rows before row `end` of the record.
+def heavy_and_light(
+    rows: Rows, mask: NDArray[np.bool_], count: int, gap: int
+) -> tuple[list[int], list[int]]:
+    """The heaviest and the lightest rows of a region, at least `gap` steps apart."""
 
-    None if some of them are missing in the record.
+    def first_of(order: NDArray[np.int64]) -> list[int]:
+        picked: list[int] = []
+        for row in order.tolist():
+            if len(picked) == count:
+                break
+            if all(abs(row - other) >= gap for other in picked):
+                picked.append(row)
+        return picked
+
+    index = np.flatnonzero(mask)
+    by_weight = index[_by_weight(rows.weight[index])]
+    return first_of(by_weight[::-1]), first_of(by_weight)
+
+
+def _by_weight(weight: Floats) -> NDArray[np.int64]:
+    """The row numbers by ascending weight.
+
+    Among equal weights, of which there may be many, no part of the buffer is preferred.
     """
-    first = end - len(weight)
-    if first < 0 or end > len(recorded) or not len(weight):
-        return None
-    whole = recorded.numpy()
-    episode, place, returns = episodes(whole)
-    kept = slice(first, end)
-    return Rows(
-        first, whole[kept], version[kept], episode[kept], place[kept], returns[kept],
-        np.asarray(weight, np.float64),
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Against:
-    """Weights against a quantity: B groups of about equal size, ascending in the quantity."""
-
-    x: Floats  # (B,) mean of the quantity
-    mean: Floats  # (B,) mean weight
-    high: Floats  # (B,) 90 % quantile of the weights
-
-
-def against(quantity: NDArray, weight: NDArray, groups: int = 30) -> Against:
-    """The weights (N,) in groups of rows sorted by a quantity (N,); equal values stay together."""
-    quantity, weight = np.asarray(quantity, np.float64), np.asarray(weight, np.float64)
-    edges = np.unique(np.quantile(quantity, np.linspace(0, 1, groups + 1)))
-    cell = np.clip(np.searchsorted(edges, quantity, "right") - 1, 0, max(len(edges) - 2, 0))
-    parts = [np.flatnonzero(cell == c) for c in np.unique(cell)]
-    return Against(
-        np.array([quantity[part].mean() for part in parts]),
-        np.array([weight[part].mean() for part in parts]),
-        np.array([np.quantile(weight[part], 0.9) for part in parts]),
-    )
+    shuffled = np.random.default_rng(0).permutation(len(weight))
+    return shuffled[np.argsort(weight[shuffled], kind="stable")]
 
 
 def windows(ended: NDArray[np.bool_], rows: Sequence[int]) -> NDArray[np.int64]:
@@ -108,10 +96,8 @@ def windows(ended: NDArray[np.bool_], rows: Sequence[int]) -> NDArray[np.int64]:
     return np.array(numbers, np.int64).reshape(len(rows), 2 * WINDOW + 1)
 
 
-ERROR_ROWS = 20_000
-"""maximum number of rows for model errors, spread evenly over the buffer"""
 SHARED_ROWS = 5000
-"""the same for the models of several runs on one buffer"""
+"""maximum number of rows for the errors of several runs' models on one buffer"""
 
 
 def has_rows(run: RunReader) -> bool:
@@ -131,17 +117,36 @@ def recorded(run: RunReader) -> Recorded:
     return reader(run).recorded()
 
 
-@cached("buffer", "snapshot")
 def rows(run: RunReader, step: int) -> Rows | None:
     """The replay buffer at the fit of `step`, with that fit's weights; None if it is damaged."""
-    weight = reader(run).snapshot(step)["weight"].to_numpy()
+    weight = fit_weight(run, step)
     # Offline data is complete from the first step on; online, each step adds a row.
     return weighed_rows(run, weight, len(recorded(run).rows) if run.env == ROAD else step)
 
 
 def weighed_rows(run: RunReader, weight: NDArray, end: int) -> Rows | None:
     """The N recorded rows before row `end`, with weights (N,); None if some are missing."""
-    return rows_at(recorded(run).rows, recorded(run).version, weight, end)
+    whole, first = recorded(run), end - len(weight)
+    if first < 0 or end > len(whole.rows) or not len(weight):
+        return None
+    kept = slice(first, end)
+    episode, place, returns = in_episodes(run)
+    return Rows(
+        first, whole.rows.numpy()[kept], whole.version[kept], episode[kept], place[kept],
+        returns[kept], np.asarray(weight, np.float64),
+    )  # fmt: skip
+
+
+@cached("buffer")
+def in_episodes(run: RunReader) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
+    """Of each recorded row its episode, its place there and the episode's return, (N,) each."""
+    return episodes(recorded(run).rows.numpy())
+
+
+@cached("snapshot")
+def fit_weight(run: RunReader, step: int) -> NDArray[np.float32]:
+    """The weights (N,) of a fit."""
+    return reader(run).snapshot(step)["weight"].to_numpy(np.float32)
 
 
 def moments(run: RunReader, rows: Sequence[int]) -> Floats:
@@ -170,23 +175,6 @@ def drawn(run: RunReader) -> bool:
     return known is not None and (known.root_dims is not None or bool(recorded(run).state))
 
 
-@cached("buffer", "snapshot", "model")
-def model_errors(run: RunReader, step: int) -> tuple[NDArray[np.int64], Floats, int] | str:
-    """Row numbers (K,) of `rows(run, step)`, the stored model's errors (K,), the model's step.
-
-    A text with the reason if there is no model.
-    """
-    weighed = rows(run, step)
-    if weighed is None:
-        return "its buffer cannot be read"
-    try:
-        kept = stored_model(run)
-    except UserError as error:
-        return str(error)
-    index = _evenly(len(weighed), ERROR_ROWS)
-    return index, step_errors(kept.predictor, weighed.rows[index]).astype(np.float64), kept.env_step
-
-
 def has_model(run: RunReader) -> bool:
     """Whether the run has a stored model, which may be damaged."""
     return stored_step(run) is not None
@@ -201,25 +189,14 @@ def model_errors_of(run: RunReader, index: NDArray[np.int64]) -> Floats:
     return errors
 
 
-def last_policy(run: RunReader) -> StoredPolicy | None:
-    """The policy that a run ended with; None if there is none that can be read."""
-    known = described_task(run)
+def stored_policy(run: RunReader, step: int | None = None) -> StoredPolicy | None:
+    """The policy of a run's fit, or that it ended with; None if there is none that can be read."""
+    known, store = described_task(run), Store(run.path.parent)
     try:
-        found = None if known is None else load_policy(str(run.path), Store(run.path.parent), known)
+        found = None if known is None else load_policy(str(run.path), store, known, step)
     except UserError:
         return None
     return found if isinstance(found, StoredPolicy) else None
-
-
-def policy_distances(run: RunReader) -> Floats:
-    """The distance (N,) from each recorded action to the mean action of the run's last policy.
-
-    Root mean square over the action's dimensions; actions are in [-1, 1].
-    """
-    rows, policy = recorded(run).rows.torch(), last_policy(run)
-    if policy is None:
-        return np.full(len(rows), np.nan)
-    return policy.distances(rows).numpy().astype(np.float64)
 
 
 def errors_on(run: RunReader, other: RunReader) -> Floats | None:
@@ -238,7 +215,7 @@ def errors_on(run: RunReader, other: RunReader) -> Floats | None:
             kept = stored_model(other)
         except UserError:
             return None
-        part = whole[_evenly(len(whole), SHARED_ROWS)]
+        part = whole[spread(len(whole), SHARED_ROWS)]
         return step_errors(kept.predictor, part).astype(np.float64)
 
     version = run.version("buffer"), other.version("model")
@@ -246,7 +223,3 @@ def errors_on(run: RunReader, other: RunReader) -> Floats | None:
 
 
 _ERRORS_ON: VersionedCache[Floats | None] = VersionedCache()
-
-
-def _evenly(count: int, most: int) -> NDArray[np.int64]:
-    return np.unique(np.linspace(0, count - 1, most).astype(np.int64))

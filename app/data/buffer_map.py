@@ -1,6 +1,6 @@
 """The map of a buffer: its planes, the weights on it, and which rows a selection chooses."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,18 +9,19 @@ from numpy.typing import NDArray
 from app.data import buffer, columns, weighings
 from app.data.arrays import offer
 from app.data.buffer import Rows
-from app.data.cache import VersionedCache, cached
-from app.data.columns import AGE, RANK, WEIGHT, Column
+from app.data.cache import VersionedCache
+from app.data.columns import AGE, DISTANCE, ERROR, ERROR_ROWS, RANK, WEIGHT, Column
 from app.data.selection import Mask, Selection, between, inside
 from app.data.weighings import Dataset, Weighing
 from app.theme import learner_label
 from tom.analysis import planes
 from tom.analysis.brush import AS_IT_IS
 from tom.analysis.imagine import stored_model
-from tom.analysis.planes import Plane
+from tom.analysis.planes import CHUNK
 from tom.dynamics.neural import NeuralDynamics
 from tom.envs import ROAD
 from tom.errors import UserError
+from tom.policy.stored import distances as policy_distances
 from tom.record.reader import RunReader
 from tom.record.task_record import dimension_names
 from tom.reports.weighing_files import called
@@ -31,34 +32,40 @@ WEIGHINGS = 3
 """maximum number of weighings, and of brushes, to choose from, the newest"""
 JUDGED = 50_000
 """maximum number of rows from which the share that a plane explains is computed"""
-CHUNK = 65_536
-"""rows whose hidden layers are held at a time"""
 NEAREST = 10
 
 
 @dataclass(frozen=True)
 class Source:
-    """Weights (N,) of the N recorded rows before row `end`."""
+    """Weights (N,) of the N recorded rows before row `end`: a fit's, or a column of a weighing."""
 
     label: str
     weight: NDArray[np.float32]
     end: int
     version: object
+    learner: str
     weighing: Weighing | None = None
+    column: str = "weight"
 
     @property
     def first(self) -> int:
         return self.end - len(self.weight)
+
+    @property
+    def option(self) -> str:
+        """What `tom brush --weighing` calls these weights; empty for a fit's."""
+        return f"{self.weighing.path}:{self.column}" if self.weighing else ""
 
 
 def fits(run: RunReader) -> dict[str, Source]:
     """The weights of a run's own fits by their step, in order; those it lacks rows of left out."""
     length, found = buffer.length(run), {}
     for step in run.snapshot_steps():
-        weight = columns.fit_weight(run, step)
+        weight = buffer.fit_weight(run, step)
         end = length if run.env == ROAD else step
         if 0 < len(weight) <= end <= length:
-            found[str(step)] = Source(str(step), weight, end, run.version("snapshot", step))
+            version = run.version("snapshot", step), run.has_policy(step)
+            found[str(step)] = Source(str(step), weight, end, version, run.learner)
     return found
 
 
@@ -67,7 +74,9 @@ def others(run: RunReader) -> dict[str, Source]:
     length = buffer.length(run)
     made, brushes = weighings.of_run(run, length), weighings.brushes(run, length)
     return {
-        label: Source(label, weight, weighing.end, weighing.written, weighing)
+        label: Source(
+            label, weight, weighing.end, weighing.written, learner, weighing, f"{learner}-s{seed}"
+        )
         for weighing in (*made[:WEIGHINGS], *brushes[:WEIGHINGS])
         for (learner, seed), weight in weighing.weights().items()
         if not (weighing.brush and learner == called(AS_IT_IS))
@@ -83,22 +92,36 @@ def sources(run: RunReader) -> dict[str, Source]:
 
 def rows(run: RunReader, source: Source) -> Rows | None:
     """The rows of these weights."""
-    key = run.path, source.label
-    return _ROWS.get(
-        key, lambda: buffer.weighed_rows(run, source.weight, source.end),
-        (run.version("buffer"), source.version),
-    )  # fmt: skip
+    return buffer.weighed_rows(run, source.weight, source.end)
 
 
-_ROWS: VersionedCache[Rows | None] = VersionedCache()
+def distances(run: RunReader, source: Source) -> buffer.Floats | None:
+    """The distance (N,) of each row's action to the policy of these weights; None if not known."""
+    if source.weighing is not None:
+        return source.weighing.policy_distance
+
+    def make() -> buffer.Floats | None:
+        policy = buffer.stored_policy(run, int(source.label))
+        rows = buffer.recorded(run).rows[source.first : source.end].torch()
+        return None if policy is None else policy_distances(policy, rows).astype(np.float64)
+
+    version = run.version("buffer"), source.version
+    return _DISTANCES.get((run.path, source.label), make, version)
 
 
-@cached("buffer")
-def features(run: RunReader) -> tuple[NDArray[np.float32], list[str]]:
-    """(s, a, s') of all recorded rows, standardised (N, D), and the names of the dimensions."""
-    recorded = buffer.recorded(run).rows
-    names, actions = dimension_names(run.env, recorded, buffer.described(run))
-    return planes.features(recorded, names, actions)
+_DISTANCES: VersionedCache[buffer.Floats | None] = VersionedCache()
+
+
+def knows_policy(run: RunReader, source: Source) -> bool:
+    """Whether `distances` may be known. Reads no policy of a run."""
+    if source.weighing is not None:
+        return source.weighing.policy_distance is not None
+    return run.env != ROAD and run.has_policy(int(source.label))
+
+
+def named(run: RunReader) -> planes.Names:
+    """The names of the dimensions of a run's observations and actions."""
+    return dimension_names(run.env, buffer.recorded(run).rows, buffer.described(run))
 
 
 @dataclass(frozen=True)
@@ -147,14 +170,14 @@ def _placed(run: RunReader, key: str, kind: str, of: str, source: Source | None)
         return _of_network(run, kind, key)
     if source is None:
         return None
-    table, names = features(run)
-    part = table[source.first : source.end]
-    plane: Plane = (
-        planes.contrast(part, source.weight, names)
+    whole = buffer.recorded(run).rows
+    part = whole[source.first : source.end]
+    plane = (
+        planes.contrast_of(part, source.weight, named(run))
         if kind == CONTRAST
-        else planes.principal(part, names)
+        else planes.principal_of(part, named(run))
     )
-    return Placed(key, plane.names, plane.project(table))
+    return Placed(key, plane.names, planes.of_rows(plane, whole))
 
 
 def layers(run: RunReader) -> dict[str, str]:
@@ -173,7 +196,7 @@ def dimensions(run: RunReader) -> list[Column]:
 def _of_network(run: RunReader, kind: str, key: str) -> Placed | None:
     """The principal components of the last hidden layer of the last policy or the stored model."""
     rows = buffer.recorded(run).rows.torch()
-    network = buffer.last_policy(run) if kind == POLICY else _model(run)
+    network = buffer.stored_policy(run) if kind == POLICY else _model(run)
     if network is None:
         return None
 
@@ -181,10 +204,8 @@ def _of_network(run: RunReader, kind: str, key: str) -> Placed | None:
         given = (rows.obs,) if kind == POLICY else (rows.obs, rows.action)
         return network.hidden(*(one[part] for one in given)).numpy()
 
-    plane = planes.of_layer(hidden(spread(len(rows), JUDGED)), kind)
-    at = range(0, len(rows), CHUNK)
-    xy = [plane.project(hidden(slice(first, first + CHUNK))) for first in at]
-    return Placed(key, plane.names, np.concatenate(xy))
+    plane = planes.of_layer(hidden(spread(len(rows), JUDGED)))
+    return Placed(key, plane.names, planes.coordinates(plane, len(rows), hidden))
 
 
 def _model(run: RunReader) -> NeuralDynamics | None:
@@ -228,6 +249,9 @@ def chosen(run: RunReader, source: Source, selection: Selection) -> Mask:
             mask &= between(columns.rank_codes(weights), RANK, interval)
         elif name == WEIGHT.name:
             mask &= between(weights, WEIGHT, interval)
+        elif name == DISTANCE.name:
+            far = distances(run, source)
+            mask &= True if far is None else between(_coded(far, DISTANCE), DISTANCE, interval)
         elif name in known:
             mask &= between(columns.codes(run, name)[part], known[name], interval)
     place = placed(run, selection.outline.plane) if selection.outline else None
@@ -241,11 +265,24 @@ def chosen(run: RunReader, source: Source, selection: Selection) -> Mask:
 
 
 def nearest(run: RunReader, source: Source, row: int) -> NDArray[np.int64]:
-    """The recorded numbers (NEAREST,) of the rows of the buffer nearest to a recorded row."""
-    table, _ = features(run)
-    part = table[source.first : source.end]
-    far = np.square(part - table[row]).sum(1)
-    far[row - source.first] = np.inf
+    """The recorded numbers (NEAREST,) of the rows of the buffer nearest to a recorded row.
+
+    By (s, a, s'), each dimension in its standard deviations.
+    """
+    part = buffer.recorded(run).rows[source.first : source.end]
+    mean, scale = planes.standard(planes.features(part[spread(len(part), JUDGED)]))
+    every_feature = planes.Plane(np.eye(len(scale)), mean, scale, ("", ""))
+    here = row - source.first
+    own = every_feature.project(planes.features(part[here : here + 1]))
+    far = np.concatenate(
+        [
+            np.square(
+                every_feature.project(planes.features(part[first : first + CHUNK])) - own
+            ).sum(1)
+            for first in range(0, len(part), CHUNK)
+        ]
+    )
+    far[here] = np.inf
     count = min(NEAREST, len(far) - 1)
     near = np.argpartition(far, count - 1)[:count] if count > 0 else np.zeros(0, np.int64)
     return source.first + near[np.argsort(far[near], kind="stable")]
@@ -275,25 +312,43 @@ def given_source(run: RunReader, source: Source) -> dict:
     """What the browser needs to know of weights."""
     weighing = source.weighing is not None
 
-    def make() -> columns.Codes:
-        found = (others(run) if weighing else fits(run))[source.label]
-        return columns.weight_codes(found.weight)
+    def again() -> Source:
+        return (others(run) if weighing else fits(run))[source.label]
 
-    url = offer((run.path, source.label, source.version), make)
+    def far() -> columns.Codes:
+        found = distances(run, again())
+        unknown = np.full(len(source.weight), np.nan)
+        return _coded(unknown if found is None else found, DISTANCE)
+
+    key = run.path, source.label, source.version
     return {
-        "label": source.label, "first": source.first, "count": len(source.weight), "url": url,
+        "label": source.label, "first": source.first, "count": len(source.weight),
         "step": int(source.label) if not weighing else None,
+        "url": offer(key, lambda: columns.weight_codes(again().weight)),
+        "distance": offer((*key, DISTANCE), far) if knows_policy(run, source) else None,
     }  # fmt: skip
 
 
-def given_columns(run: RunReader) -> list[dict]:
-    """What the browser needs to know of the quantities of the record."""
+def _coded(values: NDArray, column: Column) -> columns.Codes:
+    return columns.encode(values, column.low, column.high)
+
+
+def given_columns(run: RunReader, sources: Sequence[Source]) -> list[dict]:
+    """What the browser needs to know of the quantities of the record, and of those of sources."""
     version = run.version("buffer"), run.version("model")
-    return [
+    count = buffer.length(run)
+    sampled = f" (of {ERROR_ROWS:,} rows)" if count > ERROR_ROWS else ""
+    found = [
         {
             "name": one.name, "low": one.low, "high": one.high,
+            "note": sampled if one.name == ERROR else "",
             "url": offer((run.path, version, one.name, one.low, one.high),
                          lambda name=one.name: columns.codes(run, name)),
         }
         for one in columns.recorded(run)
     ]  # fmt: skip
+    if any(knows_policy(run, one) for one in sources):
+        of_source = {"name": DISTANCE.name, "low": DISTANCE.low, "high": DISTANCE.high}
+        place = sum(one["name"] in columns.OF_ROWS for one in found)
+        found.insert(place, {**of_source, "note": "", "url": None})
+    return found

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from app.data import buffer
 from app.data.buffer import Floats
 from app.data.cache import cached
-from app.data.readers import reader
-from tom.data.transitions import episodes
 from tom.envs import ROAD
 from tom.record.reader import RunReader
 from tom.record.task_record import dimension_names
@@ -97,10 +95,12 @@ AGE, RANK, WEIGHT = (
     Column("weight rank", 0.0, 100.0),
     Column("weight", 0.0, 1.0),
 )
-"""quantities of a fit, in %, % and times the mean; the others are those of the record"""
+"""quantities of a fit, in %, % and times the mean"""
+DISTANCE = Column("policy distance", 0.0, 2.0)
+"""quantity of a fit whose policy is known: no action in [-1, 1] lies farther from another one"""
 REWARD, RETURN, VERSION = "reward", "return of the episode", "policy version"
-ERROR, DISTANCE = "model error", "distance to the last policy"
-OF_ROWS = REWARD, RETURN, VERSION, ERROR, DISTANCE
+ERROR = "model error"
+OF_ROWS = REWARD, RETURN, VERSION, ERROR
 """quantities of the record that are no dimension of the task"""
 ERROR_ROWS = 100_000
 """maximum number of rows of known model error"""
@@ -115,13 +115,11 @@ def values(run: RunReader, name: str) -> NDArray:
     if name == REWARD:
         return np.asarray(rows.reward)
     if name == RETURN:
-        return episodes(rows)[2]
+        return buffer.in_episodes(run)[2]
     if name == VERSION:
         return buffer.recorded(run).version
     if name == ERROR:
         return buffer.model_errors_of(run, spread(len(rows), ERROR_ROWS))
-    if name == DISTANCE:
-        return buffer.policy_distances(run)
     names, actions = dimension_names(run.env, rows, buffer.described(run))
     if name in names:
         return np.asarray(rows.obs)[:, names.index(name)]
@@ -137,7 +135,6 @@ def recorded(run: RunReader) -> tuple[Column, ...]:
     # Without recorded policies each row has a version of its own.
     known += [VERSION] if len(np.unique(buffer.recorded(run).version)) < max(len(rows), 2) else []
     known += [ERROR] if run.env != ROAD and buffer.has_model(run) else []
-    known += [DISTANCE] if run.env != ROAD and run.has_policy() else []
     found = []
     for name in [*known, *names, *actions]:
         if name == ERROR:
@@ -155,9 +152,3 @@ def codes(run: RunReader, name: str) -> Codes:
     """The codes (N,) of a quantity of the record."""
     column = next(one for one in recorded(run) if one.name == name)
     return encode(values(run, name), column.low, column.high)
-
-
-@cached("snapshot")
-def fit_weight(run: RunReader, step: int) -> NDArray[np.float32]:
-    """The weights (N,) of a fit."""
-    return reader(run).snapshot(step)["weight"].to_numpy(np.float32)

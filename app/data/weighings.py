@@ -1,6 +1,6 @@
 """The results of `tom weigh` and `tom brush`: of runs' buffers, and of data sets beside them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app import text
-from app.data.buffer import Rows
-from app.data.readers import reader
+from app.data.cache import VersionedCache
 from tom.data.card import sentence
 from tom.data.sampling import bin_means
 from tom.data.unpack import DAMAGE, read_arrays
@@ -22,7 +21,16 @@ from tom.record.labels import Labels
 from tom.record.reader import RunReader
 from tom.record.status import Status
 from tom.reports import weighing_files
-from tom.reports.weighing_files import BRUSH, GHOSTS, REGION, REPORT, ROWS, WEIGHTS, reports
+from tom.reports.weighing_files import (
+    BRUSH,
+    DISTANCE,
+    GHOSTS,
+    REGION,
+    REPORT,
+    ROWS,
+    WEIGHTS,
+    reports,
+)
 
 BINS = 100
 DATASET = "data"
@@ -170,17 +178,31 @@ class Weighing:
             "since."
         )
 
+    def table(self) -> dict[str, NDArray]:
+        """The columns (N,) of its weights and their terms; empty if they cannot be read."""
+
+        def read() -> dict[str, NDArray]:
+            try:
+                table = read_table(self.path / WEIGHTS)
+            except DAMAGE:
+                return {}
+            return {str(name): np.array(table[name]) for name in table}
+
+        return _TABLES.get(self.path, read, modified(self.path / WEIGHTS))
+
     def weights(self) -> dict[tuple[str, int], NDArray[np.float32]]:
         """The weights (N,) by learner and seed; empty if they cannot be read."""
-        try:
-            table = read_table(self.path / WEIGHTS)
-        except DAMAGE:
-            return {}
         return {
-            whose: np.array(table[column], np.float32)
-            for column in table
-            if (whose := _learner_and_seed(str(column))) is not None
+            whose: values.astype(np.float32)
+            for column, values in self.table().items()
+            if (whose := _learner_and_seed(column)) is not None
         }
+
+    @property
+    def policy_distance(self) -> NDArray[np.float64] | None:
+        """The distance (N,) of each row's action to the policy; None in older weighings."""
+        found = self.table().get(DISTANCE)
+        return None if found is None else found.astype(np.float64)
 
     @property
     def medians(self) -> dict[str, dict[str, float]]:
@@ -203,6 +225,9 @@ class Weighing:
                 pair = float(footprint), _number(result.get("footprint_se"))
                 measured.setdefault(result["learner"], []).append(pair)
         return {learner: np.array(pairs) for learner, pairs in measured.items()}
+
+
+_TABLES: VersionedCache[dict[str, NDArray]] = VersionedCache()
 
 
 def profiles(of: Mapping[tuple[str, int], NDArray]) -> dict[str, NDArray[np.float64]]:
@@ -245,37 +270,6 @@ def _of_run(run: RunReader, rows: int) -> list[Weighing]:
     ]
     kept = [one for one in found if 0 <= one.ordered_from < one.rows <= rows]
     return sorted(kept, key=lambda one: one.written, reverse=True)
-
-
-Candidate = tuple[dict[str, NDArray], str, tuple[str, Weighing | None]]
-"""columns of a file, the name of the weights' column, its learner and weighing (None: the run)"""
-
-
-def candidates(run: RunReader, weighings: list[Weighing]) -> Iterator[Candidate]:
-    """All files that may hold given weights of a run's buffer."""
-    for step in run.snapshot_steps():
-        frame = reader(run).snapshot(step)
-        yield {name: frame[name].to_numpy() for name in frame}, "weight", (run.learner, None)
-    for made in weighings:
-        try:
-            frame = read_table(made.path / WEIGHTS)
-        except DAMAGE:
-            continue
-        table = {str(name): np.array(frame[name]) for name in frame}
-        for column in table:
-            if (whose := _learner_and_seed(column)) is not None:
-                yield table, column, (whose[0], made)
-
-
-def base(run: RunReader, rows: Rows, weighings: list[Weighing]) -> str | None:
-    """The option of `tom brush` for these weights: empty for the run's own.
-
-    None if no file has them.
-    """
-    for table, column, (_, made) in candidates(run, weighings):
-        if np.array_equal(table[column], rows.weight):
-            return "" if made is None else f"{made.path}:{column}"
-    return None
 
 
 def _learner_and_seed(column: str) -> tuple[str, int] | None:

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from app.data.buffer import Floats, Rows
+from app.data.buffer_map import Source
 from app.data.cache import VersionedCache
 from app.data.readers import reader
-from app.data.weighings import Weighing, candidates
 from tom.analysis import why
 from tom.analysis.imagine import stored_model
 from tom.analysis.weighing import load_policy, made_anew
@@ -35,7 +35,7 @@ DIMENSIONS = "per-dimension weights"
 
 
 @dataclass(frozen=True)
-class Source:
+class Why:
     """The terms of N weights, the settings of their computation, and the policy's own rows."""
 
     terms: Terms
@@ -50,54 +50,58 @@ class Source:
         return why.sum_of(self.terms, self.config, row)
 
 
-def source(run: RunReader, rows: Rows, weighings: list[Weighing]) -> Source | str:
+def why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
     """The terms of these weights, or a text with the reason why there are none."""
-    key = run.path, rows.first, rows.weight.tobytes(), tuple(w.written for w in weighings)
-    return _SOURCES.get(key, lambda: _source(run, rows, weighings))
+    version = run.version("buffer"), source.version
+    return _WHY.get((run.path, source.label), lambda: _why_of(run, rows, source), version)
 
 
-_SOURCES: VersionedCache[Source | str] = VersionedCache()
+_WHY: VersionedCache[Why | str] = VersionedCache()
 
 
-def _source(run: RunReader, rows: Rows, weighings: list[Weighing]) -> Source | str:
-    without = "no learner's file holds these weights: a brush changed them, or the file has changed"
-    for table, column, (learner, made) in candidates(run, weighings):
-        if not np.array_equal(table[column], rows.weight):
-            continue
-        if learner not in WITH_TERMS:
-            whose = " and ".join(f"{LEARNERS[name].label}'s" for name in WITH_TERMS)
-            return f"only {whose} weights are such a sum, and these are of {learner}"
-        prefix = "" if made is None else f"{column}-"
-        names = [name for name in Terms.named() if prefix + name in table]
-        terms = of_recorded({name: torch.tensor(table[prefix + name]) for name in names})
-        if terms is not None:
-            try:
-                return _source_of(run, rows, terms, column, made)
-            except (UserError, OSError, ValueError, KeyError) as error:
-                return str(error)
-        if np.ptp(rows.weight) == 0:
-            return f"{LEARNERS[learner].label} did not weigh here: all count the same"
-        without = (
-            "its terms were not kept; runs trained with this version have them, and small copies "
-            "of such runs with their buffer, but not the gallery nor small copies of weighings"
-        )
-    return without
-
-
-def _source_of(
-    run: RunReader, rows: Rows, terms: Terms, column: str, made: Weighing | None
-) -> Source:
+def _why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
+    made, learner = source.weighing, source.learner
+    if made is not None and made.brush:
+        return "no learner made these weights: a brush changed them"
+    if learner not in WITH_TERMS:
+        whose = " and ".join(f"{LEARNERS[name].label}'s" for name in WITH_TERMS)
+        return f"only {whose} weights are such a sum, and these are of {learner}"
     if made is None:
-        config = recorded_config(run)
-        tom: TomConfig = config.tom  # pyright: ignore[reportAttributeAccessIssue]
-        among, end = _policy_rows(config, run, rows), rows.first + len(rows)
-        return Source(terms, tom, "the run's own fit", rows.rows.torch()[among], among, end)
+        frame = reader(run).snapshot(int(source.label))
+        prefix, table = "", {str(name): frame[name].to_numpy() for name in frame}
+    else:
+        prefix, table = f"{source.column}-", made.table()
+    names = [name for name in Terms.named() if prefix + name in table]
+    terms = of_recorded({name: torch.tensor(table[prefix + name]) for name in names})
+    if terms is not None:
+        try:
+            return _of_fit(run, rows, terms) if made is None else _of_weighing(run, source, terms)
+        except (UserError, OSError, ValueError, KeyError) as error:
+            return str(error)
+    if np.ptp(rows.weight) == 0:
+        return f"{LEARNERS[learner].label} did not weigh here: all count the same"
+    return (
+        "its terms were not kept; runs trained with this version have them, and small copies of "
+        "such runs with their buffer, but not the gallery nor small copies of weighings"
+    )
+
+
+def _of_fit(run: RunReader, rows: Rows, terms: Terms) -> Why:
+    config = recorded_config(run)
+    tom: TomConfig = config.tom  # pyright: ignore[reportAttributeAccessIssue]
+    among, end = _policy_rows(config, run, rows), rows.first + len(rows)
+    return Why(terms, tom, "the run's own fit", rows.rows.torch()[among], among, end)
+
+
+def _of_weighing(run: RunReader, source: Source, terms: Terms) -> Why:
+    made = source.weighing
+    assert made is not None
     tom = TomConfig.model_validate(made.report["config"]["tom"])
     known = task(run.env)
     policy = load_policy(made.policy, Store(run.path.parent), known, made.step)
-    seed, count = int(column.rpartition("-s")[2]), int(made.report["footprint"])
+    seed, count = int(source.column.rpartition("-s")[2]), int(made.report["footprint"])
     anew = made_anew(known, policy, count, seed).transitions.torch()
-    return Source(terms, tom, f"the weighing {made.name}", anew, torch.arange(0), made.step)
+    return Why(terms, tom, f"the weighing {made.name}", anew, torch.arange(0), made.step)
 
 
 def _policy_rows(config: RunConfig, run: RunReader, rows: Rows) -> Tensor:
@@ -122,10 +126,10 @@ class Neighbours:
     own: float  # median over the policy's own rows
 
 
-def neighbours(rows: Rows, source: Source, row: int) -> Neighbours:
+def neighbours(rows: Rows, found: Why, row: int) -> Neighbours:
     """The policy's transitions nearest to a row of the buffer, but for the row itself."""
-    replay, policy_rows = rows.rows.torch(), source.policy_rows
-    here = (source.among == row).nonzero().flatten().tolist() if len(policy_rows) > 1 else []
+    replay, policy_rows = rows.rows.torch(), found.policy_rows
+    here = (found.among == row).nonzero().flatten().tolist() if len(policy_rows) > 1 else []
     near = why.nearest(replay, row, policy_rows, NEAREST, itself=here[0] if here else None)
     own = usual = float("nan")
     if half := len(policy_rows) // 2:
@@ -134,7 +138,7 @@ def neighbours(rows: Rows, source: Source, row: int) -> Neighbours:
         one_half = torch.arange(len(replay), len(joined))
         own = usual = why.usual_distance(joined, policy_rows[half:], one_half)
     other = torch.ones(len(replay), dtype=torch.bool)
-    other[source.among] = False
+    other[found.among] = False
     others = other.nonzero().flatten()
     if len(others):
         judged = torch.linspace(0, len(others) - 1, min(JUDGED, len(others))).long()

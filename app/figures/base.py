@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from app.theme import DIVERGING, NEUTRAL, SEQUENTIAL, Mode, faded
+from app.theme import DIVERGING, NEUTRAL, Mode, faded
 from tom import readable
 from tom.envs import ROAD
 
@@ -173,18 +173,6 @@ def relative_scale(
         words[-1] = f"≥ {words[-1]}"
     bar = _bar(ticks, words, "times uniform") | (_BELOW if flat else {})
     return {"colorscale": DIVERGING[mode], "zmin": -reach, "zmax": reach, "colorbar": bar}
-
-
-def linear_scale(bins: NDArray[np.float64], mode: Mode) -> dict[str, Any]:
-    """A heatmap's linear colours; the bar marks an end beyond which there are weights."""
-    finite = bins[np.isfinite(bins)]
-    top = max(float(np.quantile(finite, 0.995)) if len(finite) else 1.0, 1.0)
-    ticks = np.linspace(0, top, 5)
-    words = [readable.short(tick) for tick in ticks]
-    if (finite > top).any():
-        words[-1] = f"≥ {words[-1]}"
-    bar = _bar(ticks, words, "weight")
-    return {"colorscale": SEQUENTIAL[mode], "zmin": 0, "zmax": top, "colorbar": bar}
 
 
 def _bar(ticks: NDArray[np.float64], words: list[str], title: str) -> dict[str, Any]:

@@ -15,10 +15,8 @@ from app.figures.base import (
     X_AXIS,
     Y_AXIS,
     across,
-    dashes,
     decimate,
     line,
-    linear_scale,
     note,
     octaves,
     relative_scale,
@@ -53,19 +51,17 @@ def weight_map(
     mode: Mode,
     height: int,
     *,
-    relative: bool,
     x: str = ENV_STEPS,
     keep: str = "",
 ) -> go.Figure:
     """Mean weight of each part of the buffer (newest on top) at each fit (x axis).
 
-    With `relative` colours show log2 of the weight, with uniform in the middle. A zoom lasts while
-    `keep`, the run's id, is the same, here and below.
+    Colours show log2 of the weight, with uniform in the middle. A zoom lasts while `keep`, the
+    run's id, is the same, here and below.
     """
     fits = spread(len(profiles.env_step), MAP_COLUMNS)
     steps, bins = profiles.env_step[fits], profiles.bins[fits].T
-    scale = relative_scale(bins, mode) if relative else linear_scale(bins, mode)
-    figure = go.Figure(_heatmap(steps, bins, octaves(bins) if relative else bins, scale))
+    figure = go.Figure(_heatmap(steps, bins, octaves(bins), relative_scale(bins, mode)))
     styled(figure, x, height, keep=f"weight-map {keep}", y_axis=AGES)
     thinned = len(fits) < len(profiles.env_step)
     return note(figure, [f"{len(fits)} of {len(profiles.env_step)} fits"] if thinned else [])
@@ -128,27 +124,6 @@ def weight_profile(
     return figure
 
 
-def profile_lines(
-    profiles: Sequence[tuple[str, str, NDArray]], height: int, *, log: bool, keep: str = ""
-) -> go.Figure:
-    """The last profiles of several runs as stepped lines: (name, learner, bins).
-
-    Runs without a profile have no bins.
-    """
-    figure = go.Figure()
-    usual = dashes([learner for _, learner, _ in profiles])
-    for (name, learner, bins), dash in zip(profiles, usual, strict=True):
-        if len(bins):  # without, it counts all the same: a run has its dash of other figures
-            x, colour, shown = bin_centres(len(bins)), learner_colour(learner), text.plotly(name)
-            style = {"dash": dash, "shape": "hvh"}
-            hover = f"{shown}<br>{WEIGHT_AT}"
-            figure.add_trace(
-                line(x, bins, colour, 1.8, hover, **style, name=shown, customdata=bins)
-            )
-    _finish_profile(figure, height, keep)
-    return on_log_axis(figure) if log else figure
-
-
 def _finish_profile(figure: go.Figure, height: int, keep: str) -> None:
     styled(
         figure,
@@ -179,30 +154,6 @@ def on_log_axis(figure: go.Figure, top: float = 1.0) -> go.Figure:
         tickvals=[FLOOR, 0.1, 1, 10, 100, 1000],
         ticktext=[f"≤ {FLOOR:g}", "0.1", "1", "10", "100", "1,000"],
     )
-
-
-def effective_sample(
-    profiles: Profiles,
-    learner: str,
-    height: int,
-    x: str = ENV_STEPS,
-    *,
-    keep: str = "",
-) -> go.Figure:
-    """Effective sample size and share of zero weights over training, in % of the buffer."""
-    figure, colour = go.Figure(), learner_colour(learner)
-    marked = {"mode": "lines+markers", "marker": {"size": 5}}
-    for values, name, dash in (
-        (profiles.ess, "effective sample size", "solid"),
-        (profiles.zeros, "share of zero weights", "dot"),
-    ):
-        hover = f"{name}: %{{y:.1f}} %<br>step %{{x:,}}<extra></extra>"
-        shown = 100 * values
-        figure.add_trace(
-            line(profiles.env_step, shown, colour, 2, hover, dash=dash, name=name, **marked)
-        )
-    percent = {"range": [-3, 103], "ticksuffix": " %"}
-    return styled(figure, x, height, keep=f"effective-sample {keep}", y_axis=percent)
 
 
 def bin_centres(bins: int) -> NDArray[np.float64]:

@@ -47,7 +47,7 @@ FORWARDED = {
     "/answer": ("/", {}),
     "/compare": ("/curves", {}),
     "/weights": ("/attention", {}),
-    "/regions": ("/attention", {"part": "In the buffer"}),
+    "/regions": ("/attention", {}),
     "/probe": ("/attention", {"part": "Every learner on one buffer"}),
     "/road": ("/attention", {"task": "road-and-rocks"}),
     "/cinema": ("/replays", {"part": "Film"}),

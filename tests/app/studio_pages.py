@@ -74,10 +74,16 @@ def figures(app: AppTest) -> list[dict[str, Any]]:
     return [json.loads(json.loads(chart.json)["figure"]) for chart in charts]
 
 
+def parts(app: AppTest, name: str) -> list[dict[str, Any]]:
+    """What the page's components of a name were given."""
+    protos = [part.proto for part in app.get("bidi_component")]
+    return [json.loads(proto.json) for proto in protos if proto.component_name == name]
+
+
 def map_of(app: AppTest) -> dict[str, Any]:
     """What the page gives to the buffer's map."""
-    [part] = [p for p in app.get("bidi_component") if p.proto.component_name == "tom_map"]
-    return json.loads(part.proto.json)["given"]
+    [part] = parts(app, "tom_map")
+    return part["given"]
 
 
 def is_chart(proto: Any) -> bool:

@@ -149,7 +149,7 @@ def test_statistics_compare_no_recording_of_sac() -> None:
 @pytest.mark.parametrize("run", MUJOCO)
 @pytest.mark.usefixtures("shown")
 def test_its_buffer_can_be_looked_at(run: RunReader) -> None:
-    app = draw("attention", run=run.run_id, part="In the buffer")
+    app = draw("attention", run=run.run_id, rows="true")
     weight = run.snapshot(run.snapshot_steps()[-1])["weight"]
     assert map_of(app)["sources"][-1]["count"] == len(weight)
     heaviest = app.dataframe[0].value["weight"].to_numpy().max()

@@ -37,7 +37,7 @@ pytestmark = pytest.mark.fault
 
 PARTS = {
     "curves": ("Statistics", "Settings", "Runs"),
-    "attention": ("In the buffer", "Every learner on one buffer"),
+    "attention": ("Every learner on one buffer",),
     "replays": ("Side by side", "Film", "Rerun"),
 }
 """of pages: their parts but for the first"""

@@ -104,6 +104,8 @@ def test_weights_of_others_for_the_same_rows_stand_beside(weighing: Weighing, tm
     rows = run.rows(last)
     assert [name for name in rows if "-s" in name] == ["pmac-s2"]
     np.testing.assert_array_equal(rows["pmac-s2"], same.weights["pmac-s2"])
+    both = ["obs_0", "action_0", "policy_distance", "error", "pmac-s2"]
+    pd.testing.assert_frame_equal(same.rows()[both], rows[both])
 
 
 def test_a_weighing_is_kept_as_tom_weigh_keeps_it(weighing: Weighing, tmp_path: Path):
@@ -119,6 +121,7 @@ def test_a_weighing_is_kept_as_tom_weigh_keeps_it(weighing: Weighing, tmp_path: 
     again = tom.load(out)
     assert isinstance(again, Weighing)
     pd.testing.assert_frame_equal(again.weights, weighing.weights)
+    assert again.policy_distance == pytest.approx(weighing.policy_distance)
     assert again.table["ess"].tolist() == pytest.approx(weighing.table["ess"])
     results = [{**result, "footprint_se": None} for result in again.report["results"]]
     without = replace(again, report={**again.report, "results": results}).table["footprint_se"]
@@ -177,6 +180,7 @@ def test_the_rows_of_own_data_are_those_of_its_file_with_every_learners_weight(t
     np.testing.assert_allclose(rows["action_0"], file["action"][:, 0] / 2, rtol=1e-6)
     assert rows["row"].tolist() == list(range(90))
     assert rows["episode_step"].tolist() == [*range(30), *range(60)]
+    np.testing.assert_allclose(rows["policy_distance"], np.abs(rows["action_0"]), rtol=1e-6)
     np.testing.assert_array_equal(rows["pmac-s4"], made.weights["pmac-s4"])
     np.testing.assert_array_equal(rows["weight"], made.weights["mle-s4"])
     of_other = made.rows("pmac-s4")

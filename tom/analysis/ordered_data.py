@@ -39,6 +39,8 @@ class OrderedData:
     card: Card
     ordered_from: int  # rows before it are random data
     stored: bool = False
+    policy_distance: NDArray[np.float32] | None = None
+    """(N,) to the policy of interest (`tom.policy.stored.distances`), once there is one"""
 
     def __len__(self) -> int:
         return len(self.transitions)

@@ -5,7 +5,7 @@ along which the log weights differ most: partial least squares with one response
 components. The weights of zero of many learners would decide everything, so they are clipped.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,8 @@ from tom.spread import spread
 
 FITTED = 50_000
 """maximum number of rows from which a plane is computed"""
+CHUNK = 65_536
+"""rows whose features are held at a time"""
 CLIP = 1 / 32
 """lighter rows, as a multiple of the mean weight, count as this light"""
 ROWS_PER_CELL = 24
@@ -25,33 +27,67 @@ CONSTANT = 1e-9
 """a feature with a smaller standard deviation does not vary"""
 
 
+Names = tuple[Sequence[str], Sequence[str]]
+"""of the O dimensions of observations and the A of actions"""
+
+
 @dataclass(frozen=True)
 class Plane:
-    """Two directions of D features, through a centre."""
+    """Two directions of D standardised features, through their means."""
 
-    kind: str
     axes: NDArray[np.float64]  # (D, 2)
-    centre: NDArray[np.float64]  # (D,)
+    mean: NDArray[np.float64]  # (D,) of the features
+    scale: NDArray[np.float64]  # (D,) over their standard deviations; 0 for constants
     names: tuple[str, str]
 
-    def project(self, features: NDArray) -> NDArray[np.float32]:
-        """Features (N, D) as coordinates (N, 2)."""
-        shift = self.centre @ self.axes
-        return (features @ self.axes.astype(np.float32) - shift).astype(np.float32)
+    def project(self, table: NDArray) -> NDArray[np.float32]:
+        """Features (N, D), not standardised, as coordinates (N, 2)."""
+        scaled = (table - self.mean.astype(np.float32)) * self.scale.astype(np.float32)
+        return (scaled @ self.axes.astype(np.float32)).astype(np.float32)
 
 
-def features(
-    rows: Transitions, obs: Sequence[str], action: Sequence[str]
-) -> tuple[NDArray[np.float32], list[str]]:
-    """(s, a, s') of N rows, standardised, (N, D), and the names of the D = 2 O + A features."""
+def features(rows: Transitions) -> NDArray[np.float32]:
+    """(s, a, s') of N rows, (N, D)."""
     whole = rows.numpy()
-    table = np.concatenate([whole.obs, whole.action, whole.next_obs], 1).astype(np.float32)
-    part = table[spread(len(table), FITTED)].astype(np.float64)
-    mean, deviation = (part.mean(0), part.std(0)) if len(part) else np.zeros((2, table.shape[1]))
-    scale = np.where(deviation > CONSTANT, 1 / np.maximum(deviation, CONSTANT), 0.0)
-    table -= mean.astype(np.float32)
-    table *= scale.astype(np.float32)
-    return table, [*obs, *action, *(f"next {name}" for name in obs)]
+    return np.concatenate([whole.obs, whole.action, whole.next_obs], 1).astype(np.float32)
+
+
+def feature_names(obs: Sequence[str], action: Sequence[str]) -> list[str]:
+    """The names of the D = 2 O + A features."""
+    return [*obs, *action, *(f"next {name}" for name in obs)]
+
+
+def standard(table: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The mean of features (N, D), and one over their deviations, 0 for constants: (D,) each."""
+    if not len(table):
+        return np.zeros(table.shape[1]), np.zeros(table.shape[1])
+    mean, deviation = table.mean(0, dtype=np.float64), table.std(0, dtype=np.float64)
+    return mean, np.where(deviation > CONSTANT, 1 / np.maximum(deviation, CONSTANT), 0.0)
+
+
+def contrast_of(rows: Transitions, weight: NDArray, names: Names) -> Plane:
+    """The contrast plane of N rows with weights (N,), from at most FITTED of them."""
+    part = spread(len(rows), FITTED)
+    return contrast(features(rows[part]), np.asarray(weight)[part], feature_names(*names))
+
+
+def principal_of(rows: Transitions, names: Names) -> Plane:
+    """The principal components of N rows, from at most FITTED of them."""
+    return principal(features(rows[spread(len(rows), FITTED)]), feature_names(*names))
+
+
+def coordinates(
+    plane: Plane, count: int, table_of: Callable[[slice], NDArray]
+) -> NDArray[np.float32]:
+    """The coordinates (N, 2) of `count` rows, whose features are made a part at a time."""
+    parts = (slice(first, first + CHUNK) for first in range(0, count, CHUNK))
+    projected = [plane.project(table_of(part)) for part in parts]
+    return np.concatenate([np.zeros((0, 2), np.float32), *projected])
+
+
+def of_rows(plane: Plane, rows: Transitions) -> NDArray[np.float32]:
+    """The coordinates (N, 2) of rows on a plane of their features."""
+    return coordinates(plane, len(rows), lambda part: features(rows[part]))
 
 
 def log_weights(weight: NDArray) -> NDArray[np.float64]:
@@ -67,41 +103,42 @@ def contrast(table: NDArray, weight: NDArray, names: Sequence[str]) -> Plane:
 
     If no direction goes with the weights, the principal components.
     """
-    part = spread(len(table), FITTED)
-    x, y = table[part].astype(np.float64), log_weights(weight)[part]
-    centre = x.mean(0) if len(x) else np.zeros(table.shape[1])
-    left, y = x - centre, y - y.mean() if len(y) else y
+    mean, scale = standard(table)
+    x, y = (table - mean) * scale, log_weights(weight)
+    along = x.T @ (y - y.mean()) if len(y) else np.zeros(len(mean))
     axes: list[NDArray[np.float64]] = []
     for _ in range(2):
-        axis = left.T @ y
-        size = np.linalg.norm(axis)
+        size = np.linalg.norm(along)
         if size < CONSTANT:
-            return principal(table, names, "contrast")
-        axes.append(axis / size)
-        score = left @ axes[-1]
-        left = left - np.outer(score, left.T @ score / (score @ score))
-    spanning = np.stack(axes, 1)  # orthogonal: components of partial least squares are
-    return Plane(
-        "contrast", spanning, centre, (described(axes[0], names), described(axes[1], names))
-    )
+            return principal(table, names)
+        axes.append(along / size)
+        score = x @ axes[-1]
+        # What the first component leaves of X' y; its score has mean 0, so y need not be centred.
+        along = along - x.T @ score * (score @ y / (score @ score))
+    described_axes = (described(axes[0], names), described(axes[1], names))
+    return Plane(np.stack(axes, 1), mean, scale, described_axes)
 
 
-def principal(table: NDArray, names: Sequence[str], kind: str = "principal") -> Plane:
+def principal(table: NDArray, names: Sequence[str]) -> Plane:
     """The first two principal components of features (N, D)."""
-    part = table[spread(len(table), FITTED)].astype(np.float64)
-    centre = part.mean(0) if len(part) else np.zeros(table.shape[1])
-    _, vectors = np.linalg.eigh((part - centre).T @ (part - centre))
-    axes = vectors[:, ::-1][:, :2]
+    mean, scale = standard(table)
+    axes = _components((table - mean) * scale)
+    return Plane(axes, mean, scale, (described(axes[:, 0], names), described(axes[:, 1], names)))
+
+
+def of_layer(hidden: NDArray) -> Plane:
+    """The first two principal components of a layer's activations (N, H), not standardised."""
+    mean = hidden.mean(0, dtype=np.float64)
+    axes = _components(hidden - mean)
+    return Plane(axes, mean, np.ones(len(mean)), ("component 1", "component 2"))
+
+
+def _components(centred: NDArray) -> NDArray[np.float64]:
+    """The first two principal axes (D, 2) of a table (N, D) of mean 0."""
+    axes = np.linalg.eigh(centred.T.astype(np.float64) @ centred)[1][:, ::-1][:, :2]
     if axes.shape[1] < 2:
         axes = np.concatenate([axes, np.zeros((len(axes), 1))], 1)
-    axes = axes * np.sign(axes[np.abs(axes).argmax(0), np.arange(2)])
-    return Plane(kind, axes, centre, (described(axes[:, 0], names), described(axes[:, 1], names)))
-
-
-def of_layer(hidden: NDArray, kind: str) -> Plane:
-    """The first two principal components of a layer's activations (N, H)."""
-    plane = principal(hidden, [""] * hidden.shape[1], kind)
-    return Plane(kind, plane.axes, plane.centre, ("component 1", "component 2"))
+    return axes * np.sign(axes[np.abs(axes).argmax(0), np.arange(2)])
 
 
 def described(axis: NDArray, names: Sequence[str]) -> str:

@@ -1,6 +1,6 @@
 """The rows of a buffer as one table: where each is in its episode, its weight, its coordinates."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
@@ -29,7 +29,7 @@ def row_table(
     record: Transitions,
     weight: NDArray,
     end: int,
-    names: tuple[Sequence[str], Sequence[str]],
+    names: planes.Names,
     more: Mapping[str, NDArray] | None = None,
 ) -> pd.DataFrame:
     """The N rows before row `end` of a record, with weights (N,), and `more` columns (N,).
@@ -42,10 +42,9 @@ def row_table(
     whole = record.numpy()
     rows = whole[first:end]
     episode, place, _ = episodes(whole)
-    table, features = planes.features(rows, *names)
     coordinates = {
-        "contrast": planes.contrast(table, weight, features).project(table),
-        "pc": planes.principal(table, features).project(table),
+        "contrast": planes.of_rows(planes.contrast_of(rows, weight, names), rows),
+        "pc": planes.of_rows(planes.principal_of(rows, names), rows),
     }
     return pd.concat(
         [

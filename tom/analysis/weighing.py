@@ -25,7 +25,7 @@ from tom.learners import LEARNERS, follows_value, make_learner, with_own_setting
 from tom.learners.base import FitContext, Weighting
 from tom.policy.collect import Footprint, footprint
 from tom.policy.foreign import ForeignPolicy, foreign_policy, is_foreign
-from tom.policy.stored import NAME, StoredPolicy, UniformPolicy, read_policy
+from tom.policy.stored import NAME, StoredPolicy, UniformPolicy, distances, read_policy
 from tom.record import RunReader, Store, layout
 from tom.rng import Streams
 from tom.training import presets
@@ -270,7 +270,11 @@ def plan_weighing(
             raise unknown("learner", learner, LEARNERS)
     by = load_policy(policy, store, known, step)
     return WeighingPlan(
-        data=replace(rows, card=replace(rows.card, policy=asked(by, rows))),
+        data=replace(
+            rows,
+            card=replace(rows.card, policy=asked(by, rows)),
+            policy_distance=distances(by, rows.transitions),
+        ),
         known=known,
         policy=by,
         config=config,

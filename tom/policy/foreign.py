@@ -76,6 +76,13 @@ class ForeignPolicy:
         answer = self._answer(obs.to(torch.float32).repeat(n, 1), generator)
         return self._action(answer, generator).clamp(-1, 1).unflatten(0, (n, len(obs)))
 
+    def mean(self, obs: Tensor) -> Tensor:
+        """Mean actions for obs (B, O): (B, A), or actions of a policy that only draws them."""
+        answer = self._answer(obs.to(torch.float32), torch.Generator().manual_seed(0))
+        gaussian = len(answer) == 2 and not self._drawn
+        mean = torch.tanh(answer[0]) if gaussian else self._action(answer, torch.Generator())
+        return mean.clamp(-1, 1)
+
     def facts(self, obs: Tensor) -> PolicyFacts:
         """What it answers to observations (B, O), for the card. Raises UserError."""
         generator = torch.Generator().manual_seed(0)

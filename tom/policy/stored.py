@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from itertools import pairwise
 from math import log
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -61,13 +62,6 @@ class StoredPolicy(Actor):
         super().__init__(actor)
         self.value_gradient = self._value_gradient(arrays, actor)
 
-    def distances(self, rows: TensorTransitions) -> Tensor:
-        """The distance (N,) from each action to the policy's mean action there.
-
-        Root mean square over the action's dimensions; actions are in [-1, 1].
-        """
-        return (self.mean(rows.obs) - rows.action).square().mean(-1).sqrt()
-
     def _value_gradient(
         self, arrays: Arrays, actor: StackedMLP
     ) -> Callable[[Tensor], Tensor] | None:
@@ -108,6 +102,26 @@ class UniformPolicy:
     def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
         """n actions for obs (B, O): (n, B, A)."""
         return torch.rand(n, len(obs), self.action_dim, generator=generator) * 2 - 1
+
+    def mean(self, obs: Tensor) -> Tensor:
+        """Mean actions for obs (B, O): (B, A)."""
+        return torch.zeros(len(obs), self.action_dim)
+
+
+class HasMean(Protocol):
+    """A policy that knows its mean action."""
+
+    def mean(self, obs: Tensor) -> Tensor:
+        """Mean actions for obs (B, O): (B, A)."""
+        ...
+
+
+def distances(policy: HasMean, rows: TensorTransitions) -> NDArray[np.float32]:
+    """The distance (N,) from each row's action to the policy's mean action there.
+
+    Root mean square over the action's dimensions; actions are in [-1, 1].
+    """
+    return (policy.mean(rows.obs) - rows.action).square().mean(-1).sqrt().numpy()
 
 
 def read_policy(path: Path) -> StoredPolicy:

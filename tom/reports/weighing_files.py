@@ -42,6 +42,8 @@ SAME = 1e-6
 GHOSTS = "ghosts.npz"
 REGION = "region"
 """the column that marks the brushed rows"""
+DISTANCE = "policy_distance"
+"""the column of the distances to the policy (`tom.policy.stored.distances`)"""
 LOG_RATIO = "-log_ratio"
 """suffix of the column of the discriminator's output"""
 MATCH = ("footprint", "footprint_se", "footprint_noise", "footprint_uniform")
@@ -202,7 +204,9 @@ def copy_small(store: Path, run_id: str, to: Path) -> Iterator[Path]:
         kept = {
             name: table[name].to_numpy()
             for name in map(str, table)
-            if name.rpartition("-s")[2].isdigit() or table[name].dtype == np.bool_
+            if name.rpartition("-s")[2].isdigit()
+            or name == DISTANCE
+            or table[name].dtype == np.bool_
         }
         with _unfinished(copy) as folder:
             for file in path.iterdir():
@@ -302,7 +306,7 @@ def write(
     panels = [Panel(LEARNERS[n].label, n, profiles(weighed, n, bins)) for n in learners]
     share = data.ordered_from / len(data)
     with _unfinished(out) as folder:
-        write_weights(folder / WEIGHTS, weighed)
+        write_weights(folder / WEIGHTS, weighed, data.policy_distance)
         write_csv(folder / PROFILE, profile_rows(weighed, bins))
         if not data.stored:
             _write_rows(folder, data)
@@ -323,12 +327,15 @@ def profile_rows(weighed: Sequence[Weighed], bins: int) -> Iterator[dict[str, An
             yield place | {"mean_weight": f"{mean:.6g}"}
 
 
-def write_weights(path: Path, weighed: Sequence[Weighed]) -> None:
+def write_weights(
+    path: Path, weighed: Sequence[Weighed], policy_distance: NDArray[np.float32] | None = None
+) -> None:
     """One float32 column for each learner and seed, one row per transition, oldest first.
 
-    If a learner has terms, they are further columns (`LEARNER-sSEED-TERM`).
+    If a learner has terms, they are further columns (`LEARNER-sSEED-TERM`). The distances (N,) to
+    the policy are the first column.
     """
-    columns: dict[str, NDArray[np.float32]] = {}
+    columns = {} if policy_distance is None else {DISTANCE: policy_distance}
     for one in weighed:
         name = f"{one.learner}-s{one.seed}"
         columns[name] = one.weights

@@ -230,7 +230,8 @@ function buildHistograms(root) {
     const figure = element("figure", "map-hist");
     [figure.dataset.name, figure.hidden] = [name, i >= HISTS];
     const head = element("figcaption");
-    head.append(element("span", "", name === WEIGHT ? "weight (log)" : name), element("output"));
+    const note = columns[i].note ?? "";
+    head.append(element("span", "", (name === WEIGHT ? "weight (log)" : name) + note), element("output"));
     const canvas = element("canvas");
     Object.entries({ tabindex: "0", role: "slider", "aria-label": `Rows by ${name}: drag to choose an interval` }).forEach(([key, value]) => canvas.setAttribute(key, value));
     const foot = element("footer");
@@ -320,14 +321,14 @@ async function load(root) {
     }
     failed.hidden = true;
     draw(root);
-    const shown = [...root.querySelectorAll(".map-hist:not([hidden])")].map(({ dataset }) => columnNamed(root, dataset.name).url);
-    const chosen = Object.keys(root.selection.intervals).map((name) => columnNamed(root, name)?.url);
-    const colour = columnNamed(root, root.colour)?.url;
-    const wanted = [...new Set([...chosen, colour, ...shown])].filter(Boolean);
+    const urlOf = (name) => (name === DISTANCE ? source.distance : columnNamed(root, name)?.url);
+    const shown = [...root.querySelectorAll(".map-hist:not([hidden])")].map(({ dataset }) => dataset.name);
+    const chosen = Object.keys(root.selection.intervals);
+    const wanted = [...new Set([...chosen, root.colour, ...shown].map(urlOf))].filter(Boolean);
     await Promise.all(wanted.map((url) => Promise.resolve(array(url)).then(() => current() && draw(root))));
     // The other fits, so that the timeline moves without the server.
-    for (const { url } of given.sources) {
-      await array(url);
+    for (const url of given.sources.flatMap(({ url, distance }) => [url, distance])) {
+      if (url) await array(url);
       if (!current()) return;
     }
     root.dataset.loaded = root.turn;
@@ -354,12 +355,11 @@ function followStep({ detail }) {
     root.sourceAt = at;
     const source = root.given.sources[at];
     const weights = here(source.url);
-    if (!weights) {
-      load(root);
-      continue;
+    if (weights) {
+      root.rows = rowsOf(root.given, source, weights);
+      drawNow(root); // in the same turn of the browser as all that follows the timeline
     }
-    root.rows = rowsOf(root.given, source, weights);
-    drawNow(root); // in the same turn of the browser as all that follows the timeline
+    if (!weights || (source.distance && !here(source.distance))) load(root);
   }
 }
 // This script may be read more than once.
@@ -401,7 +401,7 @@ export default function ({ data, parentElement, setTriggerValue }) {
   buildHistograms(root);
   fillColours(root);
   root.measured = false;
-  const urls = [...data.given.columns, ...data.given.sources, ...data.given.planes.flatMap(({ axes }) => axes), data.given.against];
-  forgetAllBut(new Set(urls.filter(Boolean).map(({ url }) => url)));
+  const named = [...data.given.columns, ...data.given.sources, ...data.given.planes.flatMap(({ axes }) => axes), data.given.against];
+  forgetAllBut(new Set(named.filter(Boolean).flatMap(({ url, distance }) => [url, distance])));
   load(root);
 }

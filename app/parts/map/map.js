@@ -5,7 +5,7 @@ const REST_MS = 250; // without a move: the hand has stopped
 const CORNERS = 60; // of an outline, at most
 const CLICK_PX = 4; // a pointer that moved less has clicked
 const NEAR_PX = 14; // from a click to the row that it means
-const HISTS = 16; // histograms that are shown before the reader asks for all
+const HISTS = 14; // histograms that are shown before the reader asks for all
 
 const PRESETS = [
   ["Heaviest 1 %", () => ({ [RANK]: [99, null] })],

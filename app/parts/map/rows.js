@@ -6,7 +6,7 @@ const UNKNOWN = 65535;
 const OCTAVES = 16; // weights are coded from 2^-16 to 2^16 times their mean
 const SHOWN_OCTAVES = 6; // of them in a histogram
 const BINS = 64;
-const [AGE, RANK, WEIGHT] = ["age", "weight rank", "weight"];
+const [AGE, RANK, WEIGHT, DISTANCE] = ["age", "weight rank", "weight", "policy distance"];
 
 // An array is fetched once, and kept while the page names it.
 const fetched = (window.tomArrays ??= new Map());
@@ -82,7 +82,8 @@ function bounds(column, [low, high]) {
 
 // --- The rows of one fit.
 
-// Ages and ranks are codes of the fit, made here; all else is the record's, from row `first` on.
+// Ages and ranks are codes of the fit, made here, and distances to its policy are its own; all else
+// is the record's, from row `first` on.
 function rowsOf(given, source, weights) {
   const count = source.count;
   const age = new Uint16Array(count);
@@ -106,6 +107,7 @@ function rowsOf(given, source, weights) {
   const rows = { source, first: source.first, count, weight, total, squares, own, failed: new Uint32Array(count), bits: new Map(), store: new Uint32Array(count + 1) };
   rows.codes = (column) => {
     if (own[column.name]) return own[column.name];
+    if (column.name === DISTANCE) return source.distance && here(source.distance);
     const codes = here(column.url);
     return codes && codes.subarray(source.first, source.first + count);
   };

@@ -78,8 +78,8 @@ def _returns(run: RunReader) -> dict[str, list[float]]:
 def _cloud(rows: Transitions) -> dict[str, Any]:
     """Evenly chosen transitions of the buffer, on its two principal components in [0, 1]."""
     obs, action = (range(np.shape(part)[1]) for part in (rows.obs, rows.action))
-    table, names = planes.features(rows, [str(i) for i in obs], [str(i) for i in action])
-    x, y = planes.principal(table, names).project(table).T
+    plane = planes.principal_of(rows, ([str(i) for i in obs], [str(i) for i in action]))
+    x, y = planes.of_rows(plane, rows).T
     index = spread(len(rows), POINTS)
 
     def unit(x: NDArray) -> NDArray[np.float32]:

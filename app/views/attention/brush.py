@@ -10,15 +10,15 @@ import streamlit as st
 
 from app import session, text
 from app.data import buffer, trainings, weighings
-from app.data.buffer import Rows
-from app.data.regions import Mask
-from app.data.trainings import Started
+from app.data.buffer_map import Source
+from app.data.selection import Mask
 from app.data.weighings import Brushed
-from app.figures.regions import NAMES, change, error_bars, factor_in_words
+from app.figures.why import NAMES, change, error_bars, factor_in_words
 from app.parts.plot import chart
 from app.scenes.film import ghosts
+from app.views.attention import progress
 from tom.analysis.brush import FACTORS
-from tom.envs import ROAD, is_code
+from tom.envs import is_code
 from tom.machine.processes import Process
 from tom.record.reader import RunReader
 from tom.record.task_record import scene_of
@@ -26,20 +26,17 @@ from tom.record.task_record import scene_of
 HEIGHT = 380
 KEY = "brush"
 BEGUN = "brush begun"
+"""the process that this section started, in the session"""
 
 
-def section(run: RunReader, rows: Rows, mask: Mask) -> None:
+def section(run: RunReader, source: Source, mask: Mask) -> None:
     """Start a brush of the region, and show earlier ones."""
-    if run.env == ROAD:
-        return
-    length = buffer.length(run)
-    brushes = weighings.brushes(run, length)
+    brushes = weighings.brushes(run, buffer.length(run))
     regions = {one.name: one for one in map(weighings.brushed, brushes) if one is not None}
-    made = [*weighings.of_run(run, length), *brushes]  # a brush holds the weights of a weighing too
     with st.container(border=True):
         st.markdown("**What if this region counted more, or less?**")
-        _start(run, rows, mask, weighings.base(run, rows, made))
-        _progress()
+        _start(run, source, mask)
+        progress.show(BEGUN, chosen=KEY)
         if not regions:
             return
         chosen = st.selectbox(
@@ -61,14 +58,14 @@ def command(
     ]  # fmt: skip
 
 
-def _start(run: RunReader, rows: Rows, mask: Mask, of: str | None) -> None:
+def _start(run: RunReader, source: Source, mask: Mask) -> None:
     count = int(mask.sum())
     columns = st.columns([3, 2], vertical_alignment="bottom")
     factors = columns[0].pills(
         "Its weight is multiplied by", list(FACTORS), default=list(FACTORS), key="factors",
         selection_mode="multi", format_func=factor_in_words,
     )  # fmt: skip
-    if why := _why_not(run, count, len(rows), of):
+    if why := _why_not(run, count, len(mask)):
         st.caption(why)
         return
     if columns[1].button(
@@ -76,9 +73,9 @@ def _start(run: RunReader, rows: Rows, mask: Mask, of: str | None) -> None:
         type="primary", width="stretch",
     ):  # fmt: skip
         with NamedTemporaryFile("w", prefix="tom-brush-", suffix=".txt", delete=False) as file:
-            np.savetxt(file, rows.first + np.flatnonzero(mask), fmt="%d")
-        step = rows.first + len(rows)
-        words = command(run.run_id, file.name, step, of or "", factors, session.links().store)
+            np.savetxt(file, source.first + np.flatnonzero(mask), fmt="%d")
+        store = session.links().store
+        words = command(run.run_id, file.name, source.end, source.option, factors, store)
         begun = st.session_state[BEGUN] = trainings.start(words)
         Thread(target=_remove_after, args=(begun.process, Path(file.name)), daemon=True).start()
 
@@ -89,53 +86,13 @@ def _remove_after(process: Process, rows: Path) -> None:
     rows.unlink(missing_ok=True)
 
 
-def _why_not(run: RunReader, count: int, of: int, base: str | None) -> str:
+def _why_not(run: RunReader, count: int, of: int) -> str:
     if why := session.read_only_reason():
         return why
     if is_code(run.env):
         words = text.markdown(f"tom brush {run.run_id} --env {run.env} --rows FILE --step N")
         return f"It runs code of yours, so it is started in a terminal: {words}"
-    if not 0 < count < of:
-        return "Choose some rows of the buffer above, not all of them."
-    return "" if base is not None else "The file that these weights come from has changed."
-
-
-def _progress() -> None:
-    begun: Started | None = st.session_state.get(BEGUN)
-    if begun is None:
-        return
-    if begun.process.poll() is None:
-        _goes_on(begun)
-    elif begun.process.returncode:
-        st.error(text.markdown(begun.tail()), icon=":material/error:")
-    else:
-        del st.session_state[BEGUN]
-        st.session_state.pop(KEY, None)  # show the newest
-        st.rerun()
-
-
-@st.fragment(run_every=1)
-def _goes_on(begun: Started) -> None:
-    """The progress of the fits, and a button that ends them."""
-    if begun.process.poll() is not None:
-        st.rerun()
-    said = begun.tail().splitlines()[-1:] or ["model 0 of 1: reading the buffer"]
-    columns = st.columns([5, 1], vertical_alignment="center")
-    columns[0].progress(_share(said[0]), text.markdown(said[0]))
-    if columns[1].button("Cancel", key="cancel brush"):
-        begun.process.terminate()
-        begun.process.wait()
-        del st.session_state[BEGUN]
-        st.rerun()
-
-
-def _share(said: str) -> float:
-    """`model 3 of 12: ...` -> the completed share."""
-    words = said.replace(":", "").split()
-    try:
-        return min(int(words[1]) / int(words[3]), 1.0)
-    except (IndexError, ValueError, ZeroDivisionError):
-        return 0.0
+    return "" if 0 < count < of else "Choose some rows of the buffer above, not all of them."
 
 
 def _shown(run: RunReader, brushed: Brushed) -> None:

@@ -1,47 +1,52 @@
 """The exam of the chosen fit: the footprint of its weights, and its model's errors."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
+import numpy as np
 import streamlit as st
 
 from app import text
 from app.data import readers
 from app.data.exams import at_fit
+from app.parts.readout import Number
 from tom.config import Settings
-from tom.envs import ROAD
 from tom.exams.energy import informative
 from tom.learners import LEARNERS
 from tom.metrics import describe
 from tom.readable import short
 from tom.record.reader import RunReader
 
-COLUMNS = {
+NUMBERS = {
     "footprint": "exam/footprint",
     "its noise": "exam/footprint_noise",
-    "distance without weights": "exam/footprint_uniform",
     "error, one step": "exam/error",
     "error, five steps": "exam/rollout_error",
 }
 
 
-def of_fit(run: RunReader, step: int) -> None:
-    """Numbers of the exam and their meaning; a line of text if there is no exam."""
-    if run.env == ROAD:  # offline: nothing is collected after the fit
-        return
+def numbers(run: RunReader, fits: Sequence[int]) -> list[Number]:
+    """What the exams of a run's fits (F,) measured, if any fit has one."""
     frame = readers.metrics(run)
-    metrics = at_fit(frame, step)
+    exams = frame.drop_duplicates("env_step", keep="last").set_index("env_step").reindex(fits)
+    return [
+        Number(name, [short(value) for value in exams[path]], describe(path))
+        for name, path in NUMBERS.items()
+        if path in exams and np.isfinite(exams[path].to_numpy(np.float64)).any()
+    ]
+
+
+def say(run: RunReader, fit: int) -> None:
+    """What the exam of a fit means, or why it has none."""
+    frame = readers.metrics(run)
+    metrics = at_fit(frame, fit)
     if not metrics:
         st.caption(without(run, any(name.startswith("exam/") for name in frame.columns)))
         return
-    with st.container(border=True):
-        st.markdown(
-            "**The exam of this fit**: the steps that its policy made next, which were not in its "
-            "buffer"
-        )
-        for column, (name, path) in zip(st.columns(len(COLUMNS)), COLUMNS.items(), strict=True):
-            column.metric(name, short(metrics.get(path)), help=describe(path))
-        words = (in_words(metrics), of_which_weights(run.learner, run.settings))
-        st.caption(text.markdown(" ".join(filter(None, words))))
+    words = (in_words(metrics), of_which_weights(run.learner, run.settings))
+    st.caption(
+        "The exam of this fit: the steps that its policy made next, which were not in its buffer. "
+        + text.markdown(" ".join(filter(None, words)))
+    )
 
 
 def without(run: RunReader, examined: bool) -> str:

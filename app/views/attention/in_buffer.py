@@ -7,25 +7,21 @@ import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
 from app import session
-from app.data import buffer, buffer_map, regions, weighings
+from app.data import buffer, buffer_map
 from app.data.buffer import Rows
 from app.data.buffer_map import CONTRAST, MODEL, POLICY, PRINCIPAL, TWO, Source
 from app.data.columns import RANK, WEIGHT
 from app.data.selection import Mask, Selection
-from app.data.weighings import Dataset
 from app.figures.replay import moments_figure
-from app.parts import address, empty, map, timeline, widgets
+from app.parts import address, empty, map
 from app.parts.plot import chart
-from app.parts.scope import Scope
 from app.parts.stage import stage
-from app.parts.widgets import telling
 from app.scenes.control import StatesChoice
 from app.theme import BLUE_TO_ORANGE, NEUTRAL, RISING, faded
-from app.views.attention import brush, region_tables, why
+from app.views.attention import brush, row_list, why
 from app.views.attention.progress import show_notices
 from tom.envs import ROAD
 from tom.record.reader import RunReader, at_or_before
-from tom.record.task_record import dimension_names
 
 STAGE_HEIGHT = 560
 MOMENT_HEIGHT = 150
@@ -34,6 +30,7 @@ SHOWN = 9
 """number of robots of each kind"""
 GAP = 10
 """minimum number of steps between two of them"""
+UNREADABLE = "The rows of this buffer, or their weights, were not kept or cannot be read."
 OWN, NONE = "the run itself", "no other"
 PLANES = {
     CONTRAST: "where weights differ most",
@@ -49,40 +46,34 @@ PLANE_HELP = (
 )
 
 
-def draw(scope: Scope) -> None:
-    """A run and a fit, or weighed data; the map and its histograms, and the chosen rows."""
-    data = {one.run_id: one for one in weighings.datasets(session.links().store)}
-    run = data.get(scope.asked) or scope.one(
-        lambda run: bool(run.snapshot_steps()), lambda run: (run.env == ROAD, *telling(run))
-    )
-    top = st.columns([4, 4, 4, 3], vertical_alignment="bottom")
-    if data:
-        run = pick_data(top[3], data, run)
-    if run is None:
-        st.info("No run here has kept its weights yet: they are recorded with the model fits.")
-        return
+def draw(run: RunReader, fit: int) -> None:
+    """The map of a run's buffer at a fit, or of a data set; its histograms; the chosen rows."""
     sources = buffer_map.sources(run)
-    source = _pick_weights(run, sources, top[0]) if sources else None
-    rows = buffer_map.rows(run, source) if source else None
-    if source is None or rows is None:
-        if not empty.left_out(run, "buffer"):
-            st.warning("The replay buffer of this fit cannot be read.")
-        widgets.show_problems(run)
+    if not sources:
+        if not empty.left_out(run, "buffer", "other snapshots"):
+            st.warning(UNREADABLE)
+        return
+    top = st.columns([4, 4, 4, 3], vertical_alignment="bottom")
+    source = _pick_weights(run, sources, fit, top[0])
+    rows = buffer_map.rows(run, source)
+    if rows is None:
+        st.warning(UNREADABLE)
         return
     against = _pick_against(sources, source, top[1])
     key = _pick_plane(run, sources, source, top[2])
-    selection, row = _selection(), why.asked(rows)
-    mask = buffer_map.chosen(run, source, selection)
+    where, outline = address.value_of("where", list), address.value_of("outline", list)
+    address.keep("where", where)
+    address.keep("outline", outline)
+    selection, row = Selection.of(where, outline), why.asked(rows)
     with st.container(border=True):
-        _map(run, rows, source, key, against, row)
-    names, actions = dimension_names(run.env, rows.rows, buffer.described(run))
-    _scenes(run, rows, source, mask, selection, row)
-    brush.section(run, rows, mask)
-    why.section(run, rows)
-    region_tables.transitions(rows, mask, names, actions)
-    region_tables.save(run, source, mask)
+        _map(run, rows, sources, source, key, against, row)
+    mask = buffer_map.chosen(run, source, selection)
+    if run.env != ROAD:  # its states are positions, which its own map shows
+        _scenes(run, rows, source, mask, selection, row)
+        brush.section(run, source, mask)
+    why.section(run, rows, source)
+    row_list.section(run, rows, source, mask)
     empty.left_out(run, "other snapshots", "simulator states")
-    widgets.show_problems(run)
 
 
 def pick_data(
@@ -95,31 +86,27 @@ def pick_data(
 
 
 def _pick_weights(
-    run: RunReader, sources: Mapping[str, Source], place: DeltaGenerator
-) -> Source | None:
-    """The weights of one of the run's fits, or of a weighing.
-
-    The source of the weights is chosen at `place`, the fit on the timeline.
-    """
+    run: RunReader, sources: Mapping[str, Source], fit: int, place: DeltaGenerator
+) -> Source:
+    """The weights of the last fit up to `fit` that kept them, or those of a weighing."""
     made = [label for label, source in sources.items() if source.weighing]
-    own = [] if isinstance(run, Dataset) or len(made) == len(sources) else [OWN]
-    options = [*own, *made]
+    fits = [int(label) for label, source in sources.items() if not source.weighing]
+    options = [*([OWN] if fits else []), *made]
     chosen = address.choose_one(
         place.selectbox, "Weights of", options, "weights", options[0],
         help="the run's own fits, or what `tom weigh` or a brush below made of its buffer",
     )  # fmt: skip
-    if chosen != OWN:
-        source = sources[chosen]
-        if source.weighing is not None:
-            if missing := source.weighing.missing(buffer.length(run)):
-                st.caption(missing)
-            show_notices(source.weighing)
-        return source
-    fits = [int(label) for label, source in sources.items() if not source.weighing]
-    evaluations = run.evaluation_steps()
-    step = timeline.chosen(sorted({*fits, *evaluations}))
-    timeline.draw(fits, evaluations, step)
-    return sources[str(at_or_before(fits, step))]
+    if chosen == OWN:
+        kept = at_or_before(fits, fit)
+        if kept != fit:
+            st.caption(f"Single weights are kept of {len(fits)} fits; below is step {kept:,}.")
+        return sources[str(kept)]
+    weighing = sources[chosen].weighing
+    assert weighing is not None
+    if missing := weighing.missing(buffer.length(run)):
+        st.caption(missing)
+    show_notices(weighing)
+    return sources[chosen]
 
 
 def _pick_against(
@@ -140,85 +127,72 @@ def _pick_plane(
     run: RunReader, sources: Mapping[str, Source], source: Source, place: DeltaGenerator
 ) -> str:
     """The key of the shown plane: of another fit until the user asks for this one's."""
-    usual = (
-        source.label
-        if source.weighing
-        else [s.label for s in sources.values() if not s.weighing][-1]
-    )
-    of = address.value_of("of", lambda words: "".join(words[-1:]) or None) or usual
-    if of not in sources or bool(sources[of].weighing) != bool(source.weighing):
-        of = usual
-    if source.weighing:
-        of = source.label
+    fits = [label for label, one in sources.items() if not one.weighing]
+    usual = source.label if source.weighing else fits[-1]
+    asked = address.value_of("of", lambda words: "".join(words[-1:]))
+    of = asked if asked in fits and not source.weighing else usual
     keys = {CONTRAST: f"{CONTRAST}@{of}", PRINCIPAL: f"{PRINCIPAL}@{of}"}
     # A network takes a second or more to see all rows, so its share is told once it is chosen.
     shares = {kind: buffer_map.explained(run, key, source) for kind, key in keys.items()}
     keys |= buffer_map.layers(run)
     names = [one.name for one in buffer_map.dimensions(run)]
     kinds = [*keys, *([TWO] if len(names) > 1 else [])]
-    first = TWO if run.env == ROAD and TWO in kinds else CONTRAST
     chosen = address.choose_one(
-        place.selectbox, "Plane", kinds, "plane", first,
+        place.selectbox, "Plane", kinds, "plane", CONTRAST,
         lambda kind: PLANES[kind] + (f" ({shares[kind]:.2f})" if kind in shares else ""),
         help=PLANE_HELP,
     )  # fmt: skip
+    told = st
     if chosen == TWO:
         columns = st.columns([4, 4, 7], vertical_alignment="bottom")
+        told = columns[2]
         x = address.choose_one(columns[0].selectbox, "Across", names, "across", names[0])
         rest = [name for name in names if name != x]
         y = address.choose_one(columns[1].selectbox, "Up", rest, "up", rest[0])
-        share = buffer_map.explained(run, f"{TWO}@{x}|{y}", source)
-        columns[2].caption(f"It explains {share:.2f} of the log weights on rows held out.")
-        return f"{TWO}@{x}|{y}"
+        keys[TWO] = f"{TWO}@{x}|{y}"
+    address.keep("of", [] if of == usual or chosen not in shares else [of])
     if chosen not in shares:
         share = buffer_map.explained(run, keys[chosen], source)
         if not np.isfinite(share):
             st.caption("This network cannot be read: the plane is where weights differ most.")
             return keys[CONTRAST]
-        st.caption(f"It explains {share:.2f} of the log weights on rows held out.")
-    if chosen in shares and of != source.label:
+        told.caption(f"It explains {share:.2f} of the log weights on rows held out.")
+    elif of != source.label:
         row = st.container(horizontal=True, vertical_alignment="center")
         row.caption(f"The plane is that of step {int(of):,}, so that what moves are the weights.")
         if row.button("Plane of this fit"):
-            of = source.label
-            st.session_state["of"] = of
+            st.session_state["of"] = source.label
             st.rerun()
-    address.keep("of", [] if of == usual or chosen not in (CONTRAST, PRINCIPAL) else [of])
     return keys[chosen]
 
 
-def _selection() -> Selection:
-    """What is chosen; at first the heaviest hundredth."""
-    where = address.value_of("where", list)
-    outline = address.value_of("outline", list)
-    address.keep("where", where)
-    address.keep("outline", outline)
-    return Selection.of(where, outline)
-
-
 def _map(
-    run: RunReader, rows: Rows, source: Source, key: str, against: Source | None, row: int | None
+    run: RunReader,
+    rows: Rows,
+    sources: Mapping[str, Source],
+    source: Source,
+    key: str,
+    against: Source | None,
+    row: int | None,
 ) -> None:
     where, outline = st.session_state["where"], st.session_state["outline"]
     selection = Selection.of(where, outline)
-    of_outline = [selection.outline.plane] if selection.outline else []
-    keys = dict.fromkeys([key, *of_outline])
-    planes = [plane for one in keys if (plane := buffer_map.given_plane(run, one))]
-    own = [s for s in buffer_map.sources(run).values() if not s.weighing]
-    shown = [source] if source.weighing else own
-    mode = session.mode()
-    episode = None
+    keys = [key, *({selection.outline.plane} - {key} if selection.outline else ())]
+    own = [one for one in sources.values() if not one.weighing]
+    shown, mode = [source] if source.weighing else own, session.mode()
+    near, path = [], None
     if row is not None:
+        near = buffer_map.nearest(run, source, rows.first + row).tolist()
         same = np.flatnonzero(rows.episode == rows.episode[row])
-        episode = [rows.first + int(same[0]), rows.first + int(same[-1])]
+        path = [rows.first + int(same[0]), rows.first + int(same[-1])]
     given = {
-        "columns": buffer_map.given_columns(run),
+        "columns": buffer_map.given_columns(run, shown),
         "sources": [buffer_map.given_source(run, one) for one in shown],
-        "planes": planes,
+        "planes": [plane for one in keys if (plane := buffer_map.given_plane(run, one))],
         "against": buffer_map.given_source(run, against) if against else None,
         "row": None if row is None else rows.first + row,
-        "path": episode,
-        "near": [] if row is None else buffer_map.nearest(run, source, rows.first + row).tolist(),
+        "path": path,
+        "near": near,
         "mode": mode,
         "diverging": BLUE_TO_ORANGE[mode],
         "sequential": RISING[mode],
@@ -229,45 +203,35 @@ def _map(
     }  # fmt: skip
     colour = "".join(address.value_of("colour", list)[-1:]) or WEIGHT.name
     address.keep("colour", [] if colour == WEIGHT.name else [colour])
+    state = st.session_state
     map.draw(
         given, source.end, where, outline, colour,
-        chosen=_choose, picked=why.pick,
-        coloured=lambda name: st.session_state.update(colour=[name]),
+        chosen=lambda where, outline: state.update(where=where, outline=outline),
+        picked=why.pick, coloured=lambda name: state.update(colour=[name]),
     )  # fmt: skip
-
-
-def _choose(where: list[str], outline: list[str]) -> None:
-    st.session_state["where"], st.session_state["outline"] = where, outline
 
 
 def _scenes(
     run: RunReader, rows: Rows, source: Source, mask: Mask, selection: Selection, row: int | None
 ) -> None:
     """Robots of the chosen rows; or of a row and of its nearest."""
-    if run.env == ROAD:
-        return  # its states are positions on the map, which has its own page
     if not mask.any() and row is None:
         st.caption("No row is chosen: there is nothing to show of it.")
         return
-    sides = ["the chosen rows", "a row and its nearest"]
-    kind = sides[0]
+    kinds = ["the chosen rows", "a row and its nearest"]
+    kind = kinds[0]
     if row is not None:
         kind = address.choose_one(
-            st.segmented_control, "Scenes", sides, "scenes", sides[0], required=True,
+            st.segmented_control, "Scenes", kinds, "scenes", kinds[0], required=True,
             label_visibility="collapsed",
         )  # fmt: skip
-    if kind == sides[0]:
+    if row is None or kind == kinds[0]:
         left, right, words = _sides(rows, mask, selection)
         titles = "heaviest", "lightest"
     else:
-        assert row is not None
         near = buffer_map.nearest(run, source, rows.first + row) - rows.first
-        left, right, words = (
-            [row],
-            near.tolist()[:SHOWN],
-            "the row on the left, its nearest on the right",
-        )
-        titles = "the row", "its nearest"
+        left, right, titles = [row], near.tolist()[:SHOWN], ("the row", "its nearest")
+        words = "the row on the left, its nearest on the right"
     st.markdown(f"**The scenes themselves**: {words}")
     choice = StatesChoice(
         run.run_id,
@@ -277,18 +241,12 @@ def _scenes(
         tuple(round(float(rows.weight[at]), 4) for at in right),
         titles,
     )
-    if not buffer.drawn(run):
-        _moments(run, choice)
+    if buffer.drawn(run):
+        stage(choice, STAGE_HEIGHT, compact=True)
+        st.caption("A click on the panel's title opens it: there the moments can be played.")
         return
-    stage(choice, STAGE_HEIGHT, compact=True)
-    st.caption("A click on the panel's title opens it: there the moments can be played.")
-
-
-def _moments(run: RunReader, choice: StatesChoice) -> None:
-    """Curves of observations around the same transitions, if there is no robot to draw."""
     curves = buffer.moments(run, choice.heavy), buffer.moments(run, choice.light)
-    names = buffer.described(run)
-    figure = moments_figure(*curves, names, MOMENT_HEIGHT, run.run_id)
+    figure = moments_figure(*curves, buffer.described(run), MOMENT_HEIGHT, run.run_id)
     chart(figure, "moments", "observations round the heaviest and the lightest transitions")
     st.caption(
         "There is no robot to draw. Every line is a moment: the transition at 0, and the steps of "
@@ -299,11 +257,11 @@ def _moments(run: RunReader, choice: StatesChoice) -> None:
 def _sides(rows: Rows, mask: Mask, selection: Selection) -> tuple[list[int], list[int], str]:
     """The rows on the left and right; rows of one end of the weights are held to the other."""
     whole = np.ones(len(rows), bool)
-    heavy, light = regions.heavy_and_light(rows, mask, SHOWN, GAP)
+    heavy, light = buffer.heavy_and_light(rows, mask, SHOWN, GAP)
     if RANK.name in selection.intervals:
-        light = regions.heavy_and_light(rows, whole, SHOWN, GAP)[1]
+        light = buffer.heavy_and_light(rows, whole, SHOWN, GAP)[1]
         return heavy, light, "the heaviest chosen on the left, the buffer's lightest on the right"
     if selection.intervals.get(WEIGHT.name) == (None, 0):
-        heavy = regions.heavy_and_light(rows, whole, SHOWN, GAP)[0]
+        heavy = buffer.heavy_and_light(rows, whole, SHOWN, GAP)[0]
         return heavy, light, "the buffer's heaviest on the left, weight zero on the right"
     return heavy, light, "the heaviest chosen on the left, the lightest chosen on the right"

@@ -9,7 +9,7 @@ from app.data import readers, road
 from app.data.called import names, told_apart
 from app.data.road import Picture
 from app.figures.road import cells, road_map
-from app.parts import address, empty, timeline, widgets
+from app.parts import address, widgets
 from app.parts.plot import Follow, chart
 from app.parts.scope import Scope
 from app.parts.stage import stage
@@ -44,7 +44,7 @@ RATIO = (
 )
 
 
-def draw(scope: Scope, run: RunReader) -> None:
+def draw(scope: Scope, run: RunReader, step: int) -> None:
     """A run and a fit, its 3D scene and map, and the numbers of every learner."""
     shown = [one for one in scope.runs if one.env == ROAD and road.steps(one)]
     if run not in shown:
@@ -60,21 +60,16 @@ def draw(scope: Scope, run: RunReader) -> None:
         "Side by side with", list(others), "beside", called.__getitem__,
         max_selections=BESIDE, placeholder="no other run",
     )  # fmt: skip
-    steps = road.steps(run)
-    step = at_or_before(steps, timeline.chosen(steps))
-    timeline.draw(steps, [], step)
-    picture = road.picture(run, step)
+    picture = _fit(run, step)
     if picture is None:
         st.warning("This run's map cannot be read.")
-        widgets.show_problems(run)
         return
     _numbers(run, picture)
     together = [run, *(others[run_id] for run_id in beside)]
-    _pictures(together, step)
-    empty.left_out(run, "buffer", "other snapshots")
+    _pictures(together, picture.step)
     _export(together)
     _every_learner(shown)
-    for each in shown:
+    for each in others.values():
         # For runs that are only in the table, only the parts that the table needs.
         drawn = each in together
         problems = readers.problems(each) if drawn else readers.metrics_problems(each)

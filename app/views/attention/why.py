@@ -5,11 +5,12 @@ import pandas as pd
 import streamlit as st
 
 from app import session, text
-from app.data import buffer, trainings, weighings
+from app.data import buffer_map, trainings
 from app.data import why as reasons
 from app.data.buffer import Rows
-from app.data.why import Source
-from app.figures.regions import rollout_lines, waterfall
+from app.data.buffer_map import Source
+from app.data.why import Why
+from app.figures.why import rollout_lines, waterfall
 from app.parts.plot import chart
 from app.theme import learner_label
 from app.views.attention import progress
@@ -19,7 +20,6 @@ from tom.envs import ROAD, is_code
 from tom.learners import SUBJECT
 from tom.readable import number, percent, score, short
 from tom.record.reader import RunReader
-from tom.record.task_record import dimension_names
 
 KEY = "row"
 STARTED = "why weighing"
@@ -50,23 +50,23 @@ def asked(rows: Rows) -> int | None:
     return None if row is None or not rows.first <= row <= last else row - rows.first
 
 
-def section(run: RunReader, rows: Rows) -> None:
+def section(run: RunReader, rows: Rows, source: Source) -> None:
     """Choose a transition, and explain its weight."""
     with st.container(border=True):
         row = _pick(rows)
         if row is None:
             return
-        source = reasons.source(run, rows, weighings.of_run(run, buffer.length(run)))
+        found = reasons.why_of(run, rows, source)
         _head(rows, row)
-        if isinstance(source, str):
-            st.info(f"No sum: {text.markdown(source)}.", icon=":material/functions:")
+        if isinstance(found, str):
+            st.info(f"No sum: {text.markdown(found)}.", icon=":material/functions:")
             _offer(run, rows)
         else:
             left, right = st.columns([3, 2])
             with left:
-                _sum(source, source.sum_of(row))
+                _sum(found, found.sum_of(row))
             with right:
-                _neighbours(run, rows, source, row)
+                _neighbours(run, rows, found, row)
         if run.env != ROAD:
             _rollouts(run, rows, row)
 
@@ -119,10 +119,10 @@ def _head(rows: Rows, row: int) -> None:
     columns[4].metric("ends the episode", ends)
 
 
-def _sum(source: Source, summed: Sum) -> None:
+def _sum(found: Why, summed: Sum) -> None:
     st.markdown("**The sum**")
     chart(waterfall(summed, SUBJECT, HEIGHT), "why sum", "the terms that make the weight")
-    st.caption(in_words(source.config, summed, source.whose))
+    st.caption(in_words(found.config, summed, found.whose))
 
 
 def in_words(config: TomConfig, parts: Sum, whose: str) -> str:
@@ -139,10 +139,10 @@ def in_words(config: TomConfig, parts: Sum, whose: str) -> str:
     )
 
 
-def _neighbours(run: RunReader, rows: Rows, source: Source, row: int) -> None:
-    near = reasons.neighbours(rows, source, row)
+def _neighbours(run: RunReader, rows: Rows, found: Why, row: int) -> None:
+    near = reasons.neighbours(rows, found, row)
     st.markdown("**Its nearest of the policy's own transitions**")
-    names, actions = dimension_names(run.env, rows.rows, buffer.described(run))
+    names, actions = buffer_map.named(run)
     obs, action = np.asarray(near.rows.obs), np.asarray(near.rows.action)
     own = np.concatenate([np.asarray(rows.rows.obs)[row], np.asarray(rows.rows.action)[row]])
     table = pd.DataFrame({"": [*names, *actions], "this one": own})
@@ -154,7 +154,7 @@ def _neighbours(run: RunReader, rows: Rows, source: Source, row: int) -> None:
     first = float(near.near.distance[0])
     st.caption(
         f"Distances in standard deviations over (s, a, s' - s). To its nearest of the policy's "
-        f"{len(source.policy_rows):,} transitions this one has {first:.2f}; half of the buffer's "
+        f"{len(found.policy_rows):,} transitions this one has {first:.2f}; half of the buffer's "
         f"other rows have less than {near.usual:.2f}, half of the policy's own, to the rest of "
         f"them, less than {near.own:.2f}."
     )
@@ -177,7 +177,7 @@ def _rollouts(run: RunReader, rows: Rows, row: int) -> None:
         st.caption(f"No rollouts: {text.markdown(rollouts)}.")
         return
     paths = rollouts.paths
-    names, _ = dimension_names(run.env, rows.rows, buffer.described(run))
+    names, _ = buffer_map.named(run)
     moved = paths[:, 1].std(0) / np.maximum(np.asarray(rows.rows.obs).std(0), 1e-9)
     first = int(np.nan_to_num(moved).argmax())
     name = st.selectbox("Dimension", names, index=first, key="why dimension")

@@ -69,7 +69,7 @@ def _link_to_buffer(run: RunReader, step: int) -> None:
     kept = [fit for fit in run.snapshot_steps() if fit <= step]
     if kept and run.env != ROAD:
         label = f"The buffer's newest episode at step {kept[-1]:,}, on its map"
-        where = {"part": "In the buffer", "run": run.run_id, "step": str(kept[-1])}
+        where = {"run": run.run_id, "step": str(kept[-1])}
         widgets.link_to("attention", label, row=str(kept[-1] - 1), **where)
 
 

@@ -107,20 +107,18 @@ def test_of_a_run_in_training_one_version_is_held(own: Path) -> None:
     path = own / PENDULUM_TOM
     (path / "metrics.parquet").unlink()
     segment = max((path / "buffer").glob("*.npz"), key=lambda file: int(file.stem))
-    fit = info(own, PENDULUM_TOM).snapshot_steps()[-1]
     held: list[weakref.ref] = []
     for beat in range(3):
         with (path / "metrics.jsonl").open("a") as file:
             file.write(json.dumps({"env_step": 99_999 + beat, "eval/return": 7.5}) + "\n")
         for changed in (segment, path / "weights/profiles.jsonl"):
             os.utime(changed, (beat, beat))
-        held += read(info(own, PENDULUM_TOM), fit)
+        held += read(info(own, PENDULUM_TOM))
     gc.collect()
     assert [ref() is not None for ref in held] == [False] * 8 + [True] * 4
 
 
-def read(run: RunReader, fit: int) -> list[weakref.ref]:
-    rows = buffer.rows(run, fit)
-    assert rows is not None
-    parts = readers.metrics(run), readers.profiles(run), rows, rows.rows.obs
+def read(run: RunReader) -> list[weakref.ref]:
+    parts = readers.metrics(run), readers.profiles(run), buffer.recorded(run).rows.obs
+    parts = *parts, buffer.in_episodes(run)[2]
     return [weakref.ref(part) for part in parts]

@@ -15,7 +15,6 @@ from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 from app.data import readers, road
 from app.figures.base import (
     decimate,
-    linear_scale,
     octaves,
     relative_scale,
     span,
@@ -28,8 +27,6 @@ from app.figures.statistics import Improvement, improvement
 from app.figures.weights import (
     MAP_COLUMNS,
     bin_centres,
-    effective_sample,
-    profile_lines,
     side_by_side,
     weight_map,
     weight_profile,
@@ -172,15 +169,15 @@ def test_where_runs_are_missing_the_mean_is_dotted() -> None:
 
 
 def test_the_map_has_a_column_a_fit_and_a_row_a_bin(profiles: Profiles) -> None:
-    heat = traces(weight_map(profiles, "light", 300, relative=False))[0]
+    heat = traces(weight_map(profiles, "light", 300))[0]
     assert heat.x.tolist() == profiles.env_step.tolist()
-    assert heat.z.tolist() == profiles.bins.T.tolist()
+    assert np.asarray(heat.customdata).tolist() == profiles.bins.T.tolist()
     assert heat.y[0] == 0.5  # the oldest hundredth at the bottom
 
 
 def test_a_run_with_one_fit_has_a_column_that_can_be_seen_and_clicked(profiles: Profiles) -> None:
     one = Profiles(*(getattr(profiles, field.name)[:1] for field in fields(Profiles)))
-    heat = traces(weight_map(one, "light", 300, relative=False))[0]
+    heat = traces(weight_map(one, "light", 300))[0]
     step, (left, right) = int(one.env_step[0]), heat.x
     assert (left + right) / 2 == step
     assert right - left >= max(0.04 * step, 1)
@@ -188,7 +185,7 @@ def test_a_run_with_one_fit_has_a_column_that_can_be_seen_and_clicked(profiles: 
 
 
 def test_relative_colours_are_octaves_of_the_weight(profiles: Profiles) -> None:
-    heat = traces(weight_map(profiles, "dark", 300, relative=True))[0]
+    heat = traces(weight_map(profiles, "dark", 300))[0]
     assert heat.z == pytest.approx(np.log2(profiles.bins.T).clip(-4, 4))
     assert np.asarray(heat.customdata).tolist() == profiles.bins.T.tolist()
     assert -heat.zmin == heat.zmax == span(profiles.bins)
@@ -215,16 +212,6 @@ def test_a_colour_bar_says_where_its_ends_hold_more(
     assert (words[0], words[-1]) == ends
 
 
-@pytest.mark.parametrize(
-    ("weight", "top", "end"), [([0.0] * 999 + [3.0], 1, "≥ 1"), ([0.5, 3.0] * 100, 3, "3")]
-)
-def test_a_linear_colour_bar_says_where_its_end_holds_more(
-    weight: list[float], top: float, end: str
-) -> None:
-    scale = linear_scale(np.array(weight), "light")
-    assert (scale["zmax"], scale["colorbar"]["ticktext"][-1]) == (top, end)
-
-
 def test_side_by_side_is_thinned_and_says_so(profiles: Profiles) -> None:
     bins = np.resize(profiles.bins, (1000, 100))
     many = replace(profiles, bins=bins, env_step=np.arange(1000))
@@ -241,24 +228,6 @@ def test_a_profile_shows_the_bins(profiles: Profiles) -> None:
     assert bars.y.tolist() == profiles.bins[-1].tolist()
     assert bars.x.tolist() == bin_centres(100).tolist()
     assert bars.marker.color == learner_colour("pmac")
-    (line,) = traces(profile_lines([("a", "tom", profiles.bins[-1])], 300, log=False))
-    assert line.y.tolist() == profiles.bins[-1].tolist()
-
-
-def test_on_a_log_axis_the_last_profiles_end_at_a_hundredth_of_uniform() -> None:
-    figure = profile_lines([("a", "pmac", np.array([0.0, 1e-30, 0.5, 2.5]))], 300, log=True)
-    (line,) = traces(figure)
-    assert line.y.tolist() == [0.01, 0.01, 0.5, 2.5]
-    assert line.customdata.tolist() == [0, 1e-30, 0.5, 2.5]  # what the pointer reads
-    axis = figure.to_dict()["layout"]["yaxis"]
-    assert (axis["type"], axis["ticktext"][0]) == ("log", "≤ 0.01")
-    assert 10 ** axis["range"][0] < 0.01 < 2.5 < 10 ** axis["range"][1]
-
-
-def test_effective_sample_in_percent(profiles: Profiles) -> None:
-    ess, zeros = traces(effective_sample(profiles, "tom", 300))
-    assert ess.y == pytest.approx(100 * profiles.ess)
-    assert zeros.y == pytest.approx(100 * profiles.zeros)
 
 
 def test_the_road_map_shows_the_picture(store: Path) -> None:
@@ -291,15 +260,13 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
     """What each figure of a run's data keeps its zoom for."""
     bins, last = profiles.bins, len(profiles.env_step) - 1
     curve = replace(long_curve(len(bins)), run_id=run_id)
-    map_of = weight_map(profiles, "light", 300, relative=True)
+    map_of = weight_map(profiles, "light", 300)
     errors = {"TOM": [RunErrors(run_id, "tom", float(last), 1.0)]}
     wins = Improvement("TOM", "MLE", Interval(0.5, 0.1, 0.9), 1.0, 1.0)
     drawn = [
-        weight_map(profiles, "light", 300, relative=True, keep=run_id),
+        weight_map(profiles, "light", 300, keep=run_id),
         with_returns(map_of, curve),
         weight_profile(bins[last], "tom", 300, keep=run_id),
-        profile_lines([("a", "tom", bins[last])], 300, log=False, keep=run_id),
-        effective_sample(profiles, "tom", 300, keep=run_id),
         run_curves([curve], "eval/return", 300, legend=False, keep=run_id),
         side_by_side([("a", curve, profiles)], "light", 400),
         probe_profiles({"tom": bins}, 0, 300, log=False, keep=run_id),
@@ -348,12 +315,6 @@ def test_a_zoom_lasts_while_its_run_grows_and_is_none_of_another_run(profiles: P
     assert len(younger.env_step) < len(profiles.env_step)
     assert zooms("a", younger) == zooms("a", profiles)
     assert not set(zooms("a", profiles)) & set(zooms("b", profiles))
-
-
-def test_the_first_label_under_a_profile_has_room() -> None:
-    # Plotly leaves out a label that does not fit: "oldest", where the other axis has short labels.
-    figure = profile_lines([("a", "tom", np.ones(10))], 300, log=False)
-    assert figure.layout.margin.l >= 20  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_a_group_whose_runs_never_meet_has_a_legend_entry() -> None:

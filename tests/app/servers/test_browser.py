@@ -162,7 +162,6 @@ def test_a_visit_to_every_page(visit: Visit, own: Path) -> None:
     take_the_table(page)
     visit.open("Attention", "attention")
     click_the_first_fit(page, own)
-    page.get_by_role("radio", name="In the buffer").click()
     lasso_a_region(page)
     page.get_by_role("radio", name="Every learner on one buffer").click()
     page.get_by_role("button", name="Weigh", exact=True).wait_for()

@@ -150,7 +150,6 @@ def test_the_fit_is_found_at_which_weight_lies_on_old_data(page: "Page", own_sto
 
 def test_a_region_is_seen_as_robots_and_brushed(page: "Page", own_store: Path) -> None:
     page.goto(f"/attention?run={PENDULUM_TOM}")
-    take(page, "In the buffer")
     press(page.get_by_role("button", name="Weight zero"))
     page.wait_for_url("**/attention?*where=*")
     before = page.url

@@ -9,10 +9,9 @@ import pytest
 import streamlit as st
 from numpy.typing import NDArray
 from streamlit.testing.v1 import AppTest
-from studio_pages import array, captions, draw, figures, is_chart, recorded
-from studio_runs import PENDULUM_TOM, ROAD_TOM, info
+from studio_pages import array, captions, draw, figures, is_chart, parts, recorded
+from studio_runs import PENDULUM_TOM, ROAD_TOM
 
-from app.data import buffer
 from app.data.answer import newest_fifth
 from app.figures.weights import FLOOR
 from app.parts import timeline
@@ -23,7 +22,7 @@ from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
 RECORD = f"{PENDULUM_TOM}/weights/profiles.jsonl"
-MAP, PROFILE, SAMPLE = range(3)
+MAP, PROFILE = range(2)
 """the page's first figures"""
 
 
@@ -34,12 +33,6 @@ def lines(store: Path) -> list[dict[str, Any]]:
 
 def weights(store: Path, fit: int) -> NDArray[np.float64]:
     return RunReader(store / PENDULUM_TOM).snapshot(fit)["weight"].to_numpy(np.float64)
-
-
-def parts(app: AppTest, name: str) -> list[dict[str, Any]]:
-    """What the page's components of a name were given."""
-    protos = [part.proto for part in app.get("bidi_component")]
-    return [json.loads(proto.json) for proto in protos if proto.component_name == name]
 
 
 def step_shown(app: AppTest) -> int:
@@ -57,7 +50,7 @@ def test_the_map_the_returns_and_the_profile_are_those_of_the_files(store: Path)
     fits = lines(store)
     bins = np.array([fit["bins"] for fit in fits])
     app = draw("attention", run=PENDULUM_TOM, step=str(fits[1]["env_step"]))
-    heat, bars, sample = figures(app)[:3]
+    heat, bars = figures(app)[:2]
     assert array(heat["data"][0]["x"]).tolist() == [fit["env_step"] for fit in fits]
     assert array(heat["data"][0]["z"]) == pytest.approx(np.log2(bins.T.clip(1 / 16, 16)))
     returns = heat["data"][1]
@@ -67,9 +60,6 @@ def test_the_map_the_returns_and_the_profile_are_those_of_the_files(store: Path)
     assert array(bars["data"][0]["y"]) == pytest.approx(bins[1].clip(FLOOR))
     low, high = bars["layout"]["yaxis"]["range"]  # of all fits: it stands still
     assert 10**low < FLOOR < bins.max() <= 10**high
-    assert array(sample["data"][0]["y"]) == pytest.approx([100 * fit["ess"] for fit in fits])
-    linear = figures(draw("attention", run=PENDULUM_TOM, scale="as they are"))[MAP]
-    assert array(linear["data"][0]["z"]) == pytest.approx(bins.T)
 
 
 def test_the_numbers_of_a_fit_are_those_of_its_single_weights(store: Path) -> None:
@@ -90,30 +80,18 @@ def test_the_numbers_of_a_fit_are_those_of_its_single_weights(store: Path) -> No
             assert float(values[label][at].split()[0]) == pytest.approx(100 * share, abs=0.06)
 
 
-def test_the_last_fits_of_the_shown_runs_share_an_axis(store: Path) -> None:
-    runs = (PENDULUM_TOM, "pendulum-tom-1", "pendulum-mle-0")
-    *_, together = figures(draw("attention", run=PENDULUM_TOM))
-    drawn = {line["name"]: array(line["customdata"]) for line in together["data"]}
-    for name, run_id in zip(("TOM s0", "TOM s1", "MLE s0"), runs, strict=True):
-        assert drawn[name] == pytest.approx(RunReader(store / run_id).profiles().bins[-1])
-    *_, together = figures(draw("attention", run=PENDULUM_TOM, hide=[runs[1]]))
-    assert {line["name"] for line in together["data"]} == {"TOM s0", "MLE s0"}
-
-
 def test_panels_follow_the_timeline_with_every_fit(store: Path) -> None:
     fits = lines(store)
     app = draw("attention", run=PENDULUM_TOM)
-    on_map, on_profile, on_sample, *others = follows(app)
+    on_map, on_profile, *others = follows(app)
+    assert on_map is not None
     assert on_profile is not None
     (trace,) = on_profile["traces"]
     assert on_profile["steps"] == [fit["env_step"] for fit in fits]
     bins = np.array([fit["bins"] for fit in fits])
     assert np.array(trace["y"]) == pytest.approx(bins.clip(FLOOR), rel=5e-3)
-    for cursor, figure in ((on_map, MAP), (on_sample, SAMPLE)):
-        assert cursor is not None
-        assert cursor["cursor"]
-        # The cursor is the only line at the timeline's step.
-        assert not figures(app)[figure]["layout"].get("shapes")
+    assert on_map["cursor"]  # the only line at the timeline's step
+    assert not figures(app)[MAP]["layout"].get("shapes")
     assert others == [None] * len(others)
 
 
@@ -122,13 +100,12 @@ def test_the_step_is_the_last_stop_that_is_not_after_the_addresss(store: Path) -
     stops = sorted({fit["env_step"] for fit in lines(store)} | set(run.evaluation_steps()))
     for asked in (0, *stops, stops[1] + 1, stops[-1] + 99):
         expected = max([stop for stop in stops if stop <= asked], default=stops[0])
-        for part in ("Over time", "In the buffer"):
-            app = draw("attention", run=PENDULUM_TOM, step=str(asked), part=part)
-            (shown,) = parts(app, "tom_timeline")
-            assert shown["step"] == expected
-            assert set(shown["given"]["stops"]) <= set(stops)
-            last = expected == stops[-1]
-            assert app.query_params.get("step") == (None if last else str(expected))
+        app = draw("attention", run=PENDULUM_TOM, step=str(asked))
+        (shown,) = parts(app, "tom_timeline")
+        assert shown["step"] == expected
+        assert set(shown["given"]["stops"]) <= set(stops)
+        last = expected == stops[-1]
+        assert app.query_params.get("step") == (None if last else str(expected))
 
 
 @pytest.mark.parametrize("words", ["", "two", "nan", "-3", "1e400"])
@@ -165,9 +142,9 @@ def test_a_fit_that_kept_no_single_weights_shows_the_last_that_did(own: Path) ->
     before = RunReader(own / PENDULUM_TOM).snapshot_steps()[-2]
     (own / PENDULUM_TOM / layout.snapshot(last)).unlink()
     app = draw("attention", run=PENDULUM_TOM, step=str(last))
-    groups = [of.mean() for of in np.array_split(weights(own, before), 30)]
-    assert array(figures(app)[3]["data"][0]["y"]) == pytest.approx(np.array(groups))
-    assert f"of step {before:,}" in "".join(part.value for part in app.markdown)
+    (given,) = parts(app, "tom_map")
+    assert {one["step"] for one in given["given"]["sources"]} == {before}
+    assert f"step {before:,}" in captions(app)
 
 
 def test_a_fit_whose_weights_are_all_the_same_says_why(own: Path) -> None:
@@ -215,20 +192,6 @@ def test_a_step_of_another_run_is_none_of_this() -> None:
     app.run()
     assert not app.exception
     assert step_shown(app) == 60
-
-
-def test_what_the_weights_go_with_is_the_buffers(store: Path) -> None:
-    run, fit = info(store, PENDULUM_TOM), 300
-    rows = buffer.rows(run, fit)
-    assert rows is not None
-    age, returns, version, error = figures(draw("attention", run=run.run_id, step=str(fit)))[3:7]
-    groups = weights(store, fit).reshape(30, 10).mean(1)
-    assert array(age["data"][0]["y"]) == pytest.approx(groups)
-    assert array(version["data"][0]["x"])[0] == 0
-    assert array(returns["data"][0]["x"]).max() <= rows.episode_return.max()
-    found = buffer.model_errors(run, fit)
-    assert not isinstance(found, str)
-    assert 0 <= array(error["data"][0]["x"]).max() <= found[1].max()
 
 
 @pytest.mark.parametrize("bins", [3, 7, 64, 100])

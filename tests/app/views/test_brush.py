@@ -13,12 +13,13 @@ import pytest
 from studio_pages import array, captions, draw, figures, set_links
 from studio_runs import PENDULUM_TOM, WAITING, info, stand_in, undescribed, with_weighing
 
-from app.data import buffer, trainings, weighings
+from app.data import buffer_map, trainings, weighings
 from app.data.weighings import Brushed, Weighing
-from app.figures.regions import error_bars
+from app.figures.why import error_bars
 from app.links import Links
 from app.theme import Mode
 from app.views.attention.brush import BEGUN, command
+from app.views.attention.row_list import table
 from tom.analysis.brush import REGION, REST
 from tom.cli import main
 from tom.record.decode import read_table
@@ -26,7 +27,7 @@ from tom.record.reader import RunReader
 from tom.reports.weighing_files import REPORT, WEIGHTS, copy_small
 
 FIT = 300
-in_buffer = partial(draw, "attention", part="In the buffer")
+in_buffer = partial(draw, "attention", rows="true")
 WAIT_S = 60
 
 
@@ -100,11 +101,8 @@ def test_a_weighing_is_not_taken_for_a_brush_of_it(brushed: Path) -> None:
     brush_report.touch()
     app = in_buffer(run=PENDULUM_TOM, weights="TOM s0, tom", row="5")
     assert any(figure["data"][0]["type"] == "waterfall" for figure in figures(app))
-    run = info(brushed, PENDULUM_TOM)
-    made = [*weighings.of_run(run, 400), *weighings.brushes(run, 400)]
-    rows = buffer.weighed_rows(run, weight, FIT)
-    assert rows is not None
-    assert weighings.base(run, rows, made) == f"{weighing}:tom-s0"
+    source = buffer_map.sources(info(brushed, PENDULUM_TOM))["TOM s0, tom"]
+    assert source.option == f"{weighing}:tom-s0"
 
 
 def test_brushed_weights_have_no_sum(brushed: Path) -> None:
@@ -153,7 +151,7 @@ def test_the_rows_of_a_brush_are_kept_until_it_ends(
     begun = app.session_state[BEGUN]
     try:
         assert len(np.loadtxt(begun.words[begun.words.index("--rows") + 1])) == 3
-        app.button(key="cancel brush").click().run()
+        app.button(key=f"cancel {BEGUN}").click().run()
     finally:
         begun.process.kill()
     deadline = time.monotonic() + WAIT_S
@@ -186,17 +184,16 @@ def test_every_factor_has_a_bar_and_what_was_not_measured_has_none(mode: Mode) -
     assert drawn[1] == pytest.approx(np.mean([4.5 / 1.5, 4.7 / 1.7]) - 1)
 
 
-def test_weights_are_known_by_the_file_that_holds_them(brushed: Path) -> None:
+def test_the_weights_of_a_brush_are_named_by_file_and_column(brushed: Path) -> None:
     run = info(brushed, PENDULUM_TOM)
     (weighing,) = weighings.brushes(run, 400)
-    own = buffer.rows(run, FIT)
-    weight = weighing.weights()["region x 4", 0]
-    other = buffer.weighed_rows(run, weight, FIT)
-    assert own is not None
-    assert other is not None
-    assert weighings.base(run, own, [weighing]) == ""
-    assert weighings.base(run, other, [weighing]) == f"{weighing.path}:region x 4-s0"
-    assert weighings.base(run, other, []) is None
+    sources = buffer_map.sources(run)
+    assert sources[str(FIT)].option == ""
+    brush = sources["region x 4 s0, made"]
+    assert brush.option == f"{weighing.path}:region x 4-s0"
+    saved = table(run, brush)
+    np.testing.assert_array_equal(saved["weight"], brush.weight)
+    assert saved["row"].tolist() == list(range(brush.first, brush.end))
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from tom.record.files import read_json
 
 ENV = "inverted-pendulum"
 N = 300
-in_buffer = partial(draw, "attention", part="In the buffer")
+in_buffer = partial(draw, "attention", rows="true")
 on_one_buffer = partial(draw, "attention", part="Every learner on one buffer")
 GALLERY_RUN = str(Path(__file__).parents[3] / "runs" / "inverted-pendulum-tom-s0-162b7ad0")
 

@@ -31,7 +31,7 @@ ALL_PARTS = {  # every page with each of its parts
     "answer": [{}],
     "curves": [{"part": part} for part in ("Curves", "Statistics", "Settings", "Runs")],
     "attention": [
-        {"part": part} for part in ("Over time", "In the buffer", "Every learner on one buffer")
+        {"part": part} for part in ("One learner's weights", "Every learner on one buffer")
     ],
     "replays": [{"part": part} for part in ("One episode", "Side by side", "Film", "Rerun")],
     "findings": [{}],
@@ -102,7 +102,6 @@ def test_a_zoom_on_one_run_is_none_of_another() -> None:
     ("view", "run", "steps", "more"),
     [
         ("attention", PENDULUM_TOM, lambda run: run.profiles().env_step.tolist(), {}),
-        ("attention", PENDULUM_TOM, RunReader.snapshot_steps, {"part": "In the buffer"}),
         ("attention", ROAD_TOM, RunReader.snapshot_steps, {}),
         ("replays", ROAD_TOM, RunReader.evaluation_steps, {}),
         ("replays", ROAD_TOM, RunReader.evaluation_steps, {"part": "Side by side"}),
@@ -149,7 +148,7 @@ def test_a_hostile_and_damaged_run_is_shown_beside_the_others(
     (bad / layout.STATUS).write_text("nonsense")
     (bad / "weights" / "profiles.jsonl").write_text('{"env_step": 1}\n{"bins"')
     app = draw(page, task=ROAD, run="bad", **more)
-    if more.get("part") in ("Over time", "Curves", "Runs"):
+    if more.get("part") in ("One learner's weights", "Curves", "Runs"):
         assert any("bad" in warning.value for warning in app.warning)
     assert "<img" not in json.dumps(figures(app))
     for element in (*app.markdown, *app.caption, *app.warning, *app.subheader, *app.header):

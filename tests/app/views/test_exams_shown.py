@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from streamlit.testing.v1 import AppTest
-from studio_pages import array, captions, draw, figures, metrics, recorded
+from studio_pages import array, captions, draw, figures, parts, recorded
 from studio_runs import PENDULUM_TOM
 
 from app.data.exams import Exams, ranking
@@ -38,9 +38,11 @@ def test_attention_shows_the_exam_of_the_fit_that_is_looked_at(store: Path) -> N
     ahead = dict(zip(*recorded(store, PENDULUM_TOM, "exam/rollout_error"), strict=True))
     for step, error in zip(steps, errors, strict=True):
         app = draw("attention", task=PENDULUM, run=PENDULUM_TOM, step=str(step))
-        shown = metrics(app)
-        assert shown["error, one step"] == short(error)
-        assert shown["error, five steps"] == short(ahead[step])
+        (shown,) = parts(app, "tom_readout")
+        at = shown["steps"].index(step)
+        values = {number["label"]: number["values"][at] for number in shown["numbers"]}
+        assert values["error, one step"] == short(error)
+        assert values["error, five steps"] == short(ahead[step])
 
 
 def test_the_numbers_behind_are_those_of_the_exams(store: Path) -> None:

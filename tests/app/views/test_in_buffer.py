@@ -10,21 +10,19 @@ from streamlit.testing.v1 import AppTest
 from studio_pages import draw, map_of
 from studio_runs import PENDULUM_TOM, info
 
-from app.data import arrays, buffer, buffer_map, columns, regions
-from app.data.buffer import WINDOW, Rows, against, rows_at, windows
+from app.data import arrays, buffer, buffer_map, columns
+from app.data.buffer import WINDOW, Rows, windows
 from app.data.selection import between, inside
-from app.figures.regions import cell_map, weights_against
 from app.scenes import solids, states
-from app.views.attention.region_tables import table
-from tom.analysis import planes
-from tom.data.transitions import Transitions, episodes
+from app.views.attention.row_list import table
+from tom.data.transitions import Transitions
 from tom.envs import scene, task
 from tom.record.reader import RunReader
 from tom.record.task_record import dimension_names
 
 pytestmark = pytest.mark.usefixtures("studio")
 FIT = 300
-in_buffer = partial(draw, "attention", part="In the buffer")
+in_buffer = partial(draw, "attention", rows="true")
 
 
 @pytest.fixture
@@ -49,30 +47,6 @@ def test_the_rows_of_a_fit_are_the_newest_of_that_step(store: Path, rows: Rows) 
     assert np.asarray(rows.rows.obs) == pytest.approx(np.asarray(recorded.obs)[:FIT])
 
 
-def test_a_full_buffer_has_lost_its_oldest_rows() -> None:
-    rows = rows_at(made(10), np.zeros(10, np.int64), np.ones(4), 9)
-    assert rows is not None
-    assert rows.first == 5
-    assert np.asarray(rows.rows.obs)[:, 0].tolist() == [5, 6, 7, 8]
-    assert rows.place.tolist() == [2, 0, 1, 2]
-    assert rows_at(made(10), np.zeros(10, np.int64), np.ones(4), 11) is None
-
-
-def test_episodes_are_counted_from_their_ends() -> None:
-    number, place, total = episodes(made(7))
-    assert number.tolist() == [0, 0, 0, 1, 1, 1, 2]
-    assert place.tolist() == [0, 1, 2, 0, 1, 2, 0]
-    assert total.tolist() == [3, 3, 3, 3, 3, 3, 1]
-
-
-def test_what_sets_a_region_apart_is_named(rows: Rows) -> None:
-    names, actions = dimension_names("inverted-pendulum", rows.rows)
-    angle = np.asarray(rows.rows.obs)[:, 1]
-    name, gap = regions.apart(rows, angle > np.quantile(angle, 0.9), names + actions)[0]
-    assert name == "pole angle"
-    assert gap > 1
-
-
 def test_only_dimensions_of_road_and_rocks_are_called_x_and_y() -> None:
     two, one = np.zeros((3, 2)), np.zeros(3)
     plane = Transitions(two, two, one, two, one, one)
@@ -84,19 +58,10 @@ def test_only_dimensions_of_road_and_rocks_are_called_x_and_y() -> None:
 
 def test_picks_keep_their_distance(rows: Rows) -> None:
     everything = np.ones(len(rows), bool)
-    heavy, light = regions.heavy_and_light(rows, everything, 5, 10)
+    heavy, light = buffer.heavy_and_light(rows, everything, 5, 10)
     assert heavy[0] == rows.weight.argmax()
     assert rows.weight[light].max() <= rows.weight[heavy].min()
     assert min(abs(a - b) for a in heavy for b in heavy if a != b) >= 10
-
-
-def test_weights_against_a_quantity_lose_nothing() -> None:
-    quantity, weight = np.repeat([1.0, 2.0, 3.0], [80, 10, 10]), np.linspace(0, 2, 100)
-    found = against(quantity, weight, 10)
-    assert found.x.tolist() == [1, 2, 3] or found.x.tolist() == pytest.approx([1, 2.5])
-    assert found.mean[0] == pytest.approx(weight[:80].mean())
-    line = weights_against(found, "tom", "thing", 200).data[0]
-    assert list(line.y) == pytest.approx(found.mean)  # type: ignore[attr-defined]
 
 
 def test_a_moment_stays_in_its_episode() -> None:
@@ -129,7 +94,7 @@ def chosen(app: AppTest) -> NDArray[np.int64]:
 
 
 def selected(**query: str | list[str]) -> NDArray[np.int64]:
-    return chosen(in_buffer(run=PENDULUM_TOM, step=str(FIT), **query))
+    return chosen(in_buffer(**({"run": PENDULUM_TOM, "step": str(FIT)} | query)))
 
 
 def test_an_outline_holds_what_is_inside() -> None:
@@ -210,11 +175,26 @@ def test_the_browser_gets_each_array_of_the_buffer(rows: Rows, store: Path) -> N
     back = columns.decode(array(angle["url"]), angle["low"], angle["high"])
     known = np.asarray(recorded.obs)[:, 1].clip(angle["low"], angle["high"])
     assert back == pytest.approx(known, abs=1e-3)
-    table, names = planes.features(rows.rows, *dimension_names("inverted-pendulum", rows.rows))
     last = max(one["step"] for one in given["sources"])
     assert given["planes"][0]["key"] == f"contrast@{last}"
     assert arrays.content("0" * 32) is None
-    assert table.shape == (FIT, len(names))
+
+
+def test_map_and_file_have_one_policy_distance_that_of_the_fits_own_policy(store: Path) -> None:
+    run = info(store, PENDULUM_TOM)
+    given = {one["step"]: one for one in map_of(in_buffer(run=PENDULUM_TOM))["sources"]}
+    distances = []
+    for fit in RunReader(store / PENDULUM_TOM).policy_steps():
+        content = arrays.content(given[fit]["distance"].rpartition("/")[2])
+        assert content is not None
+        far = columns.decode(np.frombuffer(content, np.uint16), 0, 2)
+        saved = table(run, buffer_map.sources(run)[str(fit)])["policy_distance"].to_numpy()
+        assert far == pytest.approx(saved, abs=1e-4)
+        near = selected(where=["policy distance ..0.5"], step=str(fit))
+        assert near.tolist() == np.flatnonzero(saved <= 0.5).tolist()
+        distances.append(far)
+    assert len(distances) == 2
+    assert distances[0] != pytest.approx(distances[1][: len(distances[0])], abs=1e-3)
 
 
 def test_the_plane_stays_while_the_timeline_moves(store: Path) -> None:
@@ -247,19 +227,6 @@ def test_a_row_has_its_episode_and_its_nearest(rows: Rows) -> None:
     gap = np.square((part - part[7]) / part.std(0)).sum(1)
     assert len(given["near"]) == 10
     assert len(set(given["near"]) & set(rows.first + np.argsort(gap)[1:11])) >= 8  # of other scales
-
-
-def test_cells_are_coloured_by_the_share_of_weight_in_them() -> None:
-    draw_ = np.random.default_rng(0)
-    xy, weight = draw_.normal(size=(4000, 2)), draw_.lognormal(size=4000)
-    trace = cell_map(xy, ("a", "b"), weight, "light", 300, "k").data[0]
-    width = trace.x[1] - trace.x[0]  # type: ignore[attr-defined]
-    height = trace.y[1] - trace.y[0]  # type: ignore[attr-defined]
-    i, j = 14, 13
-    near = np.abs(xy[:, 0] - trace.x[i]) < width / 2  # type: ignore[attr-defined]
-    near &= np.abs(xy[:, 1] - trace.y[j]) < height / 2  # type: ignore[attr-defined]
-    share = weight[near].sum() / weight.sum() / near.mean()
-    assert trace.z[j, i] == pytest.approx(np.log2(share))  # type: ignore[attr-defined]
 
 
 def test_saved_rows_are_those_of_the_fit(rows: Rows, store: Path) -> None:

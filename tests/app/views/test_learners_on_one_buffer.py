@@ -134,7 +134,7 @@ def test_damaged_weighings_are_left_out(weighed: Path) -> None:
     "words",
     [
         {"part": "Every learner on one buffer"},
-        {"part": "In the buffer", "weights": "TOM s1, made"},
+        {"weights": "TOM s1, made"},
     ],
 )
 def test_what_the_learners_noticed_stands_beside_their_weights(
@@ -200,8 +200,7 @@ def test_the_page_starts_a_weighing_and_shows_it() -> None:
 
 def test_the_buffers_map_can_show_a_weighings_weights(weighed: Path) -> None:
     weight = pd.read_parquet(weighed / "weights.parquet")["tom-s1"].to_numpy()
-    query = {"part": "In the buffer", "weights": "TOM s1, made"}
-    app = draw("attention", run=PENDULUM_TOM, **query)
+    app = draw("attention", run=PENDULUM_TOM, weights="TOM s1, made", rows="true")
     [source] = map_of(app)["sources"]
     assert (source["label"], source["count"]) == ("TOM s1, made", ROWS)
     assert float(app.dataframe[0].value["weight"].to_numpy().max()) == pytest.approx(weight.max())
@@ -227,10 +226,10 @@ def test_a_gap_counts_if_it_is_wider_than_seeds_of_one_learner_differ() -> None:
     assert nearest({"tom": near}) == nearest({"tom": near, "mle": far * np.nan}) == ""
 
 
-@pytest.mark.parametrize("part", ["Every learner on one buffer", "In the buffer"])
-def test_a_buffer_that_cannot_be_read_is_said(part: str, own: Path) -> None:
+def test_a_buffer_that_cannot_be_read_is_said(own: Path) -> None:
     for segment in (own / PENDULUM_TOM / "buffer").glob("*.npz"):
         segment.write_bytes(b"torn")
-    app = draw("attention", run=PENDULUM_TOM, part=part)
+    assert draw("attention", run=PENDULUM_TOM).warning
+    app = on_one_buffer(run=PENDULUM_TOM)
     assert app.warning
     assert not figures(app)

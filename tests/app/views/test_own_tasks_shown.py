@@ -26,7 +26,7 @@ from tom.training.run import train
 
 MUJOCO = ("Swimmer-v5", "Reacher-v5", "Pusher-v5")
 PENDULUM = "Pendulum-v1"
-in_buffer = partial(draw, "attention", part="In the buffer")
+in_buffer = partial(draw, "attention", rows="true")
 on_one_buffer = partial(draw, "attention", part="Every learner on one buffer")
 SMALL = {"steps": 320, "evaluation": {"every": 160, "episodes": 1}, "matmul": "default"}
 

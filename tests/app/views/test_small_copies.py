@@ -47,10 +47,9 @@ def said(app: AppTest) -> str:
 @pytest.mark.parametrize(
     ("view", "part", "run", "lacking"),
     [
-        ("attention", "Over time", PENDULUM, "buffer"),
-        ("attention", "In the buffer", PENDULUM, "buffer"),
+        ("attention", "One learner's weights", PENDULUM, "buffer"),
         ("attention", "Every learner on one buffer", PENDULUM, "buffer"),
-        ("attention", "Over time", ROAD, "buffer"),
+        ("attention", "One learner's weights", ROAD, "buffer"),
         ("replays", "One episode", PENDULUM, "dynamics model"),
         ("replays", "One episode", PENDULUM, " of 5 evaluations"),
     ],
@@ -80,10 +79,9 @@ def test_a_recording_of_sac_has_no_weights(tmp_path: Path, monkeypatch: pytest.M
     (recording,) = (r for r in small_copies(Store(GALLERY)) if r.run_id == "hopper-sac-s0")
     export_small(recording, tmp_path)
     set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    for part in ("Over time", "In the buffer"):
-        app = draw("attention", run=recording.run_id, part=part)
-        assert not figures(app)
-        assert app.info
+    app = draw("attention", run=recording.run_id)
+    assert not figures(app)
+    assert app.info
 
 
 def test_the_table_of_runs_and_the_cards_say_which_is_one(bare: Path) -> None:

@@ -12,10 +12,10 @@ import torch
 from studio_pages import array, draw, figures, metrics, set_links, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
-from app.data import buffer, weighings, why
+from app.data import buffer, buffer_map, why
 from app.data.buffer import Rows
 from app.links import Links
-from app.views.attention.region_tables import listed
+from app.views.attention.row_list import listed
 from tom.analysis import why as reasons
 from tom.cli import main
 from tom.record import Store, layout
@@ -25,7 +25,7 @@ from tom.training.presets import resolve
 from tom.training.run import train
 
 FIT = 300
-in_buffer = partial(draw, "attention", part="In the buffer")
+in_buffer = partial(draw, "attention", rows="true")
 
 
 @pytest.fixture
@@ -43,6 +43,14 @@ def weighed(studio: Links, store: Path, tmp_path: Path, monkeypatch: pytest.Monk
     return there
 
 
+def of_fit(run: RunReader, fit: int = FIT) -> tuple[Rows, why.Why | str]:
+    """The rows of a fit, and why they have their weights."""
+    source = buffer_map.sources(run)[str(fit)]
+    rows = buffer_map.rows(run, source)
+    assert rows is not None
+    return rows, why.why_of(run, rows, source)
+
+
 def own_rows(store: Path) -> Rows:
     found = buffer.rows(info(store, PENDULUM_TOM), FIT)
     assert found is not None
@@ -50,9 +58,8 @@ def own_rows(store: Path) -> Rows:
 
 
 def test_a_kept_fit_has_the_terms_of_its_weights(store: Path) -> None:
-    rows = own_rows(store)
-    found = why.source(info(store, PENDULUM_TOM), rows, [])
-    assert isinstance(found, why.Source)
+    rows, found = of_fit(info(store, PENDULUM_TOM))
+    assert isinstance(found, why.Why)
     assert found.step == FIT
     assert len(found.policy_rows) == 100  # 200 steps of exploration came before
     for row in range(0, FIT, 17):
@@ -61,23 +68,21 @@ def test_a_kept_fit_has_the_terms_of_its_weights(store: Path) -> None:
 
 def test_a_weighing_has_the_terms_of_its_weights(weighed: Path) -> None:
     run = info(weighed, PENDULUM_TOM)
-    (made,) = weighings.of_run(run, 400)
-    (weight,) = made.weights().values()
-    rows = buffer.weighed_rows(run, weight, made.end)
+    (source,) = buffer_map.others(run).values()
+    rows = buffer_map.rows(run, source)
     assert rows is not None
-    found = why.source(run, rows, [made])
-    assert isinstance(found, why.Source)
+    found = why.why_of(run, rows, source)
+    assert isinstance(found, why.Why)
     for row in range(0, len(rows), 17):
-        assert found.sum_of(row).weight == pytest.approx(weight[row], abs=1e-5)
+        assert found.sum_of(row).weight == pytest.approx(source.weight[row], abs=1e-5)
     assert len(found.policy_rows) == 100
     near = why.neighbours(rows, found, 5)
     assert (near.near.distance.diff() >= 0).all()
 
 
 def test_a_fits_own_rows_are_not_compared_with_themselves(store: Path) -> None:
-    rows = own_rows(store)
-    found = why.source(info(store, PENDULUM_TOM), rows, [])
-    assert isinstance(found, why.Source)
+    rows, found = of_fit(info(store, PENDULUM_TOM))
+    assert isinstance(found, why.Why)
     replay = rows.rows.torch()
     near = why.neighbours(rows, found, FIT - 1)
     others = reasons.nearest(replay, FIT - 1, replay[200 : FIT - 1])
@@ -92,20 +97,16 @@ def test_a_small_copy_has_the_terms_of_its_weights(store: Path, tmp_path: Path) 
     for name, fit in ((PENDULUM_TOM, FIT), (ROAD_TOM, 60)):
         export_small(RunReader(store / name), tmp_path)
         run = info(tmp_path, name)
-        rows = buffer.rows(run, fit)
-        assert rows is not None
-        found = why.source(run, rows, [])
-        assert isinstance(found, why.Source)
+        rows, found = of_fit(run, fit)
+        assert isinstance(found, why.Why)
         for row in range(0, len(rows), 17):
             assert found.sum_of(row).weight == pytest.approx(rows.weight[row], rel=0.01, abs=0.01)
 
 
 def test_the_roads_policy_rows_are_its_footprint(store: Path) -> None:
     run = info(store, ROAD_TOM)
-    rows = buffer.rows(run, 60)
-    assert rows is not None
-    found = why.source(run, rows, [])
-    assert isinstance(found, why.Source)
+    rows, found = of_fit(run, 60)
+    assert isinstance(found, why.Why)
     shown = RunReader(store / ROAD_TOM).field("data", 0)["footprint"]
     assert 0 < shown.sum() < 100
     np.testing.assert_array_equal(found.policy_rows.obs.numpy(), np.asarray(rows.rows.obs)[shown])
@@ -137,11 +138,10 @@ def test_starts_of_rollouts_are_drawn_as_the_run_draws_them(tmp_path: Path) -> N
 
 
 @pytest.mark.usefixtures("studio")
-@pytest.mark.parametrize("part", ["Over time", "In the buffer"])
-def test_the_page_says_why(store: Path, part: str) -> None:
+def test_the_page_says_why(store: Path) -> None:
     rows = own_rows(store)
     row = int(rows.weight.argmax())
-    app = draw("attention", part=part, run=PENDULUM_TOM, step=str(FIT), row=str(row))
+    app = draw("attention", run=PENDULUM_TOM, step=str(FIT), row=str(row))
     bars = next(f for f in figures(app) if f["data"][0]["type"] == "waterfall")
     values = array(trace(bars, type="waterfall")["y"])
     assert values[-1] == pytest.approx(rows.weight[row], abs=1e-5)
@@ -151,10 +151,9 @@ def test_the_page_says_why(store: Path, part: str) -> None:
 
 @pytest.mark.usefixtures("studio")
 def test_every_neighbour_has_a_column_however_near_to_the_next(store: Path) -> None:
-    rows = own_rows(store)
-    source = why.source(info(store, PENDULUM_TOM), rows, [])
-    assert isinstance(source, why.Source)
-    near = why.neighbours(rows, source, 5)
+    rows, found = of_fit(info(store, PENDULUM_TOM))
+    assert isinstance(found, why.Why)
+    near = why.neighbours(rows, found, 5)
     crowd = replace(near.near, distance=near.near.distance * 0 + 0.51)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(why, "neighbours", lambda *_: replace(near, near=crowd))
@@ -166,10 +165,8 @@ def test_every_neighbour_has_a_column_however_near_to_the_next(store: Path) -> N
 
 
 def test_weights_that_no_learner_made_here_have_no_sum(store: Path) -> None:
-    early = buffer.rows(info(store, PENDULUM_TOM), 200)  # before TOM weighs
-    assert early is not None
-    assert isinstance(why.source(info(store, PENDULUM_TOM), early, []), str)
-    assert isinstance(why.source(info(store, "pendulum-mle-0"), own_rows(store), []), str)
+    assert isinstance(of_fit(info(store, PENDULUM_TOM), 200)[1], str)  # before TOM weighs
+    assert isinstance(of_fit(info(store, "pendulum-mle-0"))[1], str)
 
 
 @pytest.mark.usefixtures("studio")
@@ -185,7 +182,7 @@ def test_a_row_that_the_buffer_does_not_have_is_dropped(store: Path, row: str) -
 def test_the_numbers_of_a_row_are_those_of_the_map_and_the_table(store: Path) -> None:
     rows = own_rows(store)
     shown = metrics(in_buffer(run=PENDULUM_TOM, step=str(FIT), row="40"))
-    line = listed(rows, np.array([40]), [f"obs {i}" for i in range(4)], ["action 1"]).iloc[0]
+    line = listed(info(store, PENDULUM_TOM), rows, np.array([40])).iloc[0]
     assert shown["its step in its episode"] == str(line["step of the episode"])
     assert (line["row"], line["episode"]) == (rows.first + 40, rows.episode[40] + 1)
     equal = metrics(in_buffer(run="pendulum-mle-0", step=str(FIT), row="5"))

@@ -68,11 +68,11 @@ def test_equal_weights_and_constant_rows_have_a_plane_that_explains_nothing(coun
     rows = Transitions(
         np.ones((count, 2)), np.ones((count, 1)), flags, np.ones((count, 2)), flags, flags
     )
-    table, names = planes.features(rows, ("x", "v"), ("push",))
-    assert names == ["x", "v", "push", "next x", "next v"]
-    plane = planes.contrast(table, np.ones(count), names)
-    assert plane.project(table).shape == (count, 2)
-    assert planes.explained(plane.project(table), np.ones(count)) == 0
+    names = ("x", "v"), ("push",)
+    assert planes.feature_names(*names) == ["x", "v", "push", "next x", "next v"]
+    xy = planes.of_rows(planes.contrast_of(rows, np.ones(count), names), rows)
+    assert xy.shape == (count, 2)
+    assert planes.explained(xy, np.ones(count)) == 0
 
 
 def test_an_axis_is_named_by_its_largest_loadings():

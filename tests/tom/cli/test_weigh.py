@@ -143,7 +143,7 @@ def test_a_weighing_lies_in_the_store_and_goes_with_a_small_copy(
     (copy,) = (tmp_path / "weighings").iterdir()
     assert {p.name for p in copy.iterdir()} == {p.name for p in made.iterdir()} - {"profile.svg"}
     whole, small = (pq.read_table(path / "weights.parquet") for path in (made, copy))
-    assert set(small.column_names) == {"tom-s0", "pmac-s0", "mle-s0"}
+    assert set(small.column_names) == {"tom-s0", "pmac-s0", "mle-s0", "policy_distance"}
     np.testing.assert_allclose(small["tom-s0"], whole["tom-s0"], rtol=1e-3)
     assert main(["runs", "index", "--store", str(tmp_path)]) == 0
     page = (tmp_path / "README.md").read_text()

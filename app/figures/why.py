@@ -1,108 +1,24 @@
-"""A buffer in cells, what sets rows apart, and a weight as the sum of its terms."""
-
-import textwrap
-from collections.abc import Sequence
+"""A weight as the sum of its terms, rollouts from a row, and the errors of brushed models."""
 
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.data.buffer import Against, Floats
+from app.data.buffer import Floats
 from app.data.weighings import Brushed
-from app.figures.base import across, line, note, octaves, relative_scale, styled, upright
+from app.figures.base import across, line, note, styled
 from app.theme import NEUTRAL, Mode, learner_colour, ramp
 from tom import readable
 from tom.analysis.brush import POLICY, REGION, REST
 from tom.analysis.why import Sum
 
-CELL_ROWS = 5
-"""rows in a cell if they lay evenly"""
-BARS = 8
-TITLE_LETTERS = 22
-"""in a line of an axis title; four panels stand beside each other on a narrow window"""
 NAMES = {
     REGION: "held-out, in the region",
     REST: "held-out, elsewhere",
     POLICY: "what the policy does anew",
 }
 BELOW = "#6f9fe8"
-
-
-def cell_map(
-    xy: NDArray, names: tuple[str, str], weight: Floats, mode: Mode, height: int, keep: str
-) -> go.Figure:
-    """The rows (N, 2) of a plane in cells, coloured by log2 (share of weight / share of rows).
-
-    Few rows make a cell paler. A zoom lasts while `keep` is the same.
-    """
-    across_ = max(round(np.sqrt(len(weight) / CELL_ROWS)), 1)
-    edges = np.quantile(xy, [0.001, 0.999], axis=0)
-    ends = [np.linspace(low, high, across_ + 1) for low, high in edges.T]
-    rows, *_ = np.histogram2d(*xy.T, bins=ends)
-    mass, *_ = np.histogram2d(*xy.T, bins=ends, weights=weight / weight.mean())
-    relative = np.where(rows > 0, mass / np.maximum(rows, 1), np.nan)
-    middles = [(end[1:] + end[:-1]) / 2 for end in ends]
-    figure = go.Figure(
-        go.Heatmap(
-            x=middles[0],
-            y=middles[1],
-            z=octaves(relative).T,
-            customdata=rows.T,
-            hovertemplate="%{customdata:,} rows<br>weight 2^%{z:.2f} of the mean<extra></extra>",
-            **relative_scale(relative[rows > 0], mode),
-        )
-    )
-    x, y = (text.plotly(name) for name in names)
-    return styled(figure, x, height, keep=keep, y=y)
-
-
-def apart_bars(gaps: Sequence[tuple[str, float]], height: int, *, keep: str = "") -> go.Figure:
-    """The dimensions in which a region differs most from the buffer, the farthest on top.
-
-    A zoom lasts while `keep`, the run's id, is the same.
-    """
-    top = list(gaps[:BARS])[::-1]
-    figure = go.Figure(
-        go.Bar(
-            x=[gap for _, gap in top],
-            y=[text.plotly(name) for name, _ in top],
-            orientation="h",
-            marker={"color": NEUTRAL},
-            hovertemplate="%{y}<br>%{x:+.2f} standard deviations<extra></extra>",
-        )
-    )
-    words = "standard deviations from the buffer's mean"
-    return styled(figure, words, height, keep=f"apart {keep}", marks=[upright(0, 1)])
-
-
-def weights_against(
-    groups: Against, learner: str, x: str, height: int, *, keep: str = ""
-) -> go.Figure:
-    """Mean weight and 90 % quantile of equal groups of transitions.
-
-    A zoom lasts while `keep`, the run's id, is the same.
-    """
-    colour = learner_colour(learner)
-    figure = go.Figure()
-    for values, name, width, dash in (
-        (groups.mean, "mean weight", 2.0, "solid"),
-        (groups.high, "9 of 10 are below", 1.2, "dot"),
-    ):
-        hover = f"{text.plotly(x)} %{{x:.4g}}<br>{name} %{{y:.3g}}<extra></extra>"
-        mode = "lines+markers" if name == "mean weight" else "lines"
-        more = {"dash": dash, "name": name, "mode": mode, "marker": {"size": 4}}
-        figure.add_trace(line(groups.x, values, colour, width, hover, **more))
-    return styled(
-        figure,
-        "<br>".join(text.plotly(part) for part in textwrap.wrap(x, TITLE_LETTERS)),
-        height,
-        keep=f"against {x} {keep}",
-        marks=[across(1, 1.2, "dash")],
-        y="weight",
-        y_axis={"rangemode": "tozero"},
-        showlegend=False,
-    )
 
 
 def factor_in_words(factor: float) -> str:
