@@ -60,7 +60,7 @@ SHOWN = {
     "answer": ("", {}),
     "curves": ("curves", {}),
     "attention": ("attention", {}),
-    "attention-buffer": ("attention", {}),
+    "attention-buffer": ("attention", {"where": "weight rank 99.."}),
     "attention-learners": ("attention", {"part": "Every learner on one buffer"}),
     "attention-road": ("attention", {"task": ROAD}),
     "replays": ("replays", {}),

@@ -32,17 +32,17 @@ MEMORY_MB = {1_000_000: 300.0}
 TIMEOUT_MS = 120_000
 SETTLE_MS = 3000
 CLICK = """async () => {
-    const radio = [...document.querySelectorAll('[role=radio]')]
-        .find((one) => one.textContent.includes("In the buffer"));
+    const link = [...document.querySelectorAll("a[data-testid=stTopNavLink]")]
+        .find(({ href }) => new URL(href).pathname.endsWith("/attention"));
     const begun = performance.now();
-    radio.click();
+    link.click();
     for (;;) {
         await new Promise(requestAnimationFrame);
         const map = document.querySelector(".buffer-map");
         if (map?.drawnAt) return (map.drawnAt - begun) / 1000;
     }
 }"""
-"""opens the buffer's part; seconds until the map is drawn"""
+"""opens Attention from another page; seconds until the map is drawn"""
 BRUSH = """async () => {
     const map = document.querySelector(".buffer-map");
     const canvas = map.querySelector(".map-hist[data-name='reward'] canvas");
@@ -111,12 +111,12 @@ def measure(folder: Path, sizes: tuple[int, ...] = tuple(DRAWN_S)) -> Iterator[M
             for turn in ("first", "again"):
                 page = context.new_page()
                 page.set_default_timeout(TIMEOUT_MS)
-                page.goto(links.opened(f"attention?run={run}"))
-                page.locator(".js-plotly-plot").first.wait_for()
+                page.goto(links.opened(f"findings?run={run}"))
+                page.locator(".runlist .section").first.wait_for()
                 page.wait_for_timeout(SETTLE_MS)
-                target = DRAWN_S.get(rows) if turn == "again" else None
                 drawn = float(page.evaluate(CLICK))
-                yield Measured(f"{rows:,} rows, {turn}: click to map", drawn, "s", target)
+                what = f"{rows:,} rows, {turn}: click to map"
+                yield Measured(what, drawn, "s", DRAWN_S.get(rows))
             page.wait_for_function("document.querySelector('.buffer-map').dataset.loaded")
             page.wait_for_timeout(SETTLE_MS)
             yield Measured(f"{rows:,} rows: brush", page.evaluate(BRUSH), "s", BRUSHED_S.get(rows))

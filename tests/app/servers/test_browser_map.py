@@ -11,8 +11,9 @@ from studio_runs import PENDULUM_TOM
 from test_browser import Visit, asked, own, visit  # noqa: F401 (two are fixtures)
 from test_browser_visitor import until
 
-from app.data import buffer_map
+from app.data import buffer_map, columns
 from app.data.selection import Selection
+from app.servers import map_bench
 from tom.record.reader import RunReader
 
 if TYPE_CHECKING:
@@ -37,9 +38,7 @@ CASES = (
 
 def opened(visit: Visit, **query: list[str]) -> "Page":  # noqa: F811
     words = "&".join(f"{key}={quote(one)}" for key, of in query.items() for one in of)
-    visit.page.goto(
-        visit.links.opened(f"attention?run={PENDULUM_TOM}&part=In+the+buffer&step=300&{words}")
-    )
+    visit.page.goto(visit.links.opened(f"attention?run={PENDULUM_TOM}&step=300&{words}"))
     visit.page.locator(".buffer-map[data-loaded]").wait_for()
     filters = len(query.get("where", [])) + len(query.get("outline", []))
     applied = f"document.querySelector('.buffer-map').rows.applied?.size === {filters}"
@@ -103,3 +102,32 @@ def test_a_brush_a_lasso_and_back(visit: Visit, own: Path) -> None:  # noqa: F81
     until(page, lambda: page.evaluate(CHOSEN) == both, "a reload loses the selection")
     page.go_back()
     until(page, lambda: page.evaluate(CHOSEN) == brushed, "Back keeps the outline")
+
+
+def test_the_map_shows_a_fits_own_weights_as_soon_as_the_timeline_moves(
+    visit: Visit,  # noqa: F811
+    own: Path,  # noqa: F811
+) -> None:
+    first, last = (buffer_map.fits(RunReader(own / PENDULUM_TOM))[fit] for fit in ("200", "300"))
+    page = opened(visit)
+    shown = "() => [...document.querySelector('.buffer-map').rows.own.weight]"
+    assert page.evaluate(shown) == columns.weight_codes(last.weight).tolist()
+    page.evaluate(
+        """() => window.addEventListener("tom:step", () => {
+            window.atOnce = [...document.querySelector(".buffer-map").rows.own.weight];
+        })"""
+    )
+    page.get_by_role("slider", name="Step of the training").focus()
+    page.keyboard.press("Home")
+    until(page, lambda: page.evaluate("window.atOnce"), "the timeline stands")
+    assert page.evaluate("window.atOnce") == columns.weight_codes(first.weight).tolist()
+    page.wait_for_url("**/attention?*step=200*")
+    page.get_by_role("button", name="Save all 200 rows (Parquet)").wait_for()
+
+
+def test_the_bench_measures_a_buffer(tmp_path: Path) -> None:
+    found = list(map_bench.measure(tmp_path, (400,)))
+    assert [one.what for one in found] == [
+        "click to map, first", "click to map, again", "brush", "timeline step", "page memory",
+    ]  # fmt: skip
+    assert all(one.value > 0 and one.target is None for one in found)

@@ -22,10 +22,17 @@ pytestmark = [
 WATCH = """() => {
   window.seen = [];
   window.addEventListener("tom:step", ({ detail }) => {
-    const [profile] = [...document.querySelectorAll(".plot")].filter((p) => p.follows?.traces);
+    const plots = [...document.querySelectorAll(".plot")];
+    const [profile] = plots.filter((p) => p.follows?.traces);
+    const [heat] = plots.filter((p) => p.follows?.cursor);
+    const line = heat.parentElement.querySelector(".plot-cursor");
+    const { xaxis } = heat._fullLayout;
+    const place = line.getBoundingClientRect().left - heat.getBoundingClientRect().left;
     seen.push({
       step: detail, fit: document.querySelector(".readout dd").textContent,
       profile: [...profile.data[0].y], address: location.search,
+      // in steps, back from where the line is seen
+      cursor: xaxis.p2d(place - xaxis._offset), pixel: xaxis.p2d(2) - xaxis.p2d(0),
     });
   });
 }"""
@@ -55,13 +62,14 @@ def test_the_timeline_moves_numbers_and_profile_before_the_server_hears_of_it(
     stops = sorted({*fits, *run.evaluation_steps()})
     page = visit.page
     page.goto(visit.links.opened(f"attention?run={PENDULUM_TOM}"))
-    for i in range(3):
+    for i in range(2):
         page.locator(".js-plotly-plot").nth(i).locator(".nsewdrag").first.wait_for()
     page.evaluate(WATCH)
     for at in range(len(stops) - 2, -1, -1):
         shown = moved(page, "ArrowLeft")
         fit = at_or_before(fits, stops[at])
         assert (shown["step"], shown["fit"]) == (stops[at], f"{fit:,}")
+        assert shown["cursor"] == pytest.approx(stops[at], abs=shown["pixel"])
         expected = profiles.bins[fits.index(fit)]
         assert np.array(shown["profile"]) == pytest.approx(expected, rel=6e-3)
         if at == len(stops) - 2:

@@ -11,7 +11,7 @@ from studio_runs import ROAD_TOM
 from app.router import VIEWS
 from app.servers import browser
 from app.servers.browser import DURATIONS_MS, LIMIT_BYTES, QUALITIES, SHOWN_WIDTHS, animation
-from app.views.attention import BUFFER, LEARNERS_ON_IT
+from app.views.attention import LEARNERS_ON_IT
 from tom.errors import UserError
 from tom.record.reader import RunReader
 
@@ -29,7 +29,7 @@ def test_a_story_goes_through_a_runs_fits(store: Path, monkeypatch: pytest.Monke
 def test_every_page_and_every_part_of_attention_has_a_picture() -> None:
     shown = [(path, choices.get("part", "")) for path, choices in browser.SHOWN.values()]
     assert {path for path, _ in shown} == {view.PATH for view in VIEWS}
-    assert {part for path, part in shown if path == "attention"} == {"", BUFFER, LEARNERS_ON_IT}
+    assert {part for path, part in shown if path == "attention"} == {"", LEARNERS_ON_IT}
 
 
 @pytest.mark.parametrize("noise", [0, 255])

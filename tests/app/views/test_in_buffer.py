@@ -1,19 +1,24 @@
 """Attention in the buffer: the map, the selection and what it chooses are the recorded rows."""
 
+import time
 from functools import partial
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from streamlit.testing.v1 import AppTest
-from studio_pages import draw, map_of
+from studio_pages import answers, draw, map_of, set_links
 from studio_runs import PENDULUM_TOM, info
 
 from app.data import arrays, buffer, buffer_map, columns
 from app.data.buffer import WINDOW, Rows, windows
 from app.data.selection import between, inside
-from app.scenes import solids, states
+from app.links import Links
+from app.parts import timeline
+from app.scenes import control, solids, states
 from app.views.attention.row_list import table
 from tom.data.transitions import Transitions
 from tom.envs import scene, task
@@ -54,6 +59,29 @@ def test_only_dimensions_of_road_and_rocks_are_called_x_and_y() -> None:
     others = "gymnasium:MountainCarContinuous-v0"
     assert dimension_names(others, plane)[0] == ["observation 1", "observation 2"]
     assert dimension_names(others, plane, ("position", "velocity"))[0] == ["position", "velocity"]
+
+
+def test_the_robots_are_those_of_the_timelines_fit(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: SimpleQueue[control.Selection] = SimpleQueue()
+    socket = str(tmp_path / "control")
+    heard = socket, lambda _, selection: told.put(selection), lambda _: None
+    Thread(target=control.listen, args=heard, daemon=True).start()
+    while not answers(socket):
+        time.sleep(0.05)
+    set_links(Links(store=str(store), key="key", viser_port=1, control=socket), monkeypatch)
+    fits = RunReader(store / PENDULUM_TOM).snapshot_steps()
+    app = in_buffer(run=PENDULUM_TOM, step=str(fits[0]))
+    for fit in (fits[0], fits[-1]):
+        if fit != fits[0]:
+            app.session_state[timeline.STEP] = fit
+            app.run()
+        weight = RunReader(store / PENDULUM_TOM).snapshot(fit)["weight"].to_numpy()
+        choice = told.get(timeout=20).choice
+        assert isinstance(choice, control.StatesChoice)
+        assert choice.heavy_weights == pytest.approx(weight[list(choice.heavy)], abs=1e-4)
+        assert choice.heavy_weights[0] == pytest.approx(weight.max(), abs=1e-4)
 
 
 def test_picks_keep_their_distance(rows: Rows) -> None:
