@@ -122,7 +122,7 @@ def contrast(table: NDArray, weight: NDArray, names: Sequence[str]) -> Plane:
 def principal(table: NDArray, names: Sequence[str]) -> Plane:
     """The first two principal components of features (N, D)."""
     mean, scale = standard(table)
-    axes = _components((table - mean) * scale)
+    axes = _components((table - mean) * scale) * (scale > 0)[:, None]
     return Plane(axes, mean, scale, (described(axes[:, 0], names), described(axes[:, 1], names)))
 
 
@@ -144,7 +144,8 @@ def _components(centred: NDArray) -> NDArray[np.float64]:
 def described(axis: NDArray, names: Sequence[str]) -> str:
     """An axis (D,) by its largest loadings: `leg angle down, torso x velocity up`."""
     signs = loadings(axis, names).items()
-    return ", ".join(f"{name} {'up' if sign > 0 else 'down'}" for name, sign in signs)
+    words = ", ".join(f"{name} {'up' if sign > 0 else 'down'}" for name, sign in signs)
+    return words or "no dimension varies"
 
 
 def loadings(axis: NDArray, names: Sequence[str]) -> dict[str, int]:

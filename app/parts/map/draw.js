@@ -48,7 +48,7 @@ function wholeView(X, Y) {
       return at * 64;
     };
     const [low, high] = [find(0, 1), find(1024, -1)];
-    const margin = Math.max((high - low) * 0.06, 400);
+    const margin = Math.max((high - low) * 0.08, 400);
     return [low - margin, high + margin];
   };
   return { x: ends(X), y: ends(Y) };

@@ -5,6 +5,7 @@ const REST_MS = 250; // without a move: the hand has stopped
 const CORNERS = 60; // of an outline, at most
 const CLICK_PX = 4; // a pointer that moved less has clicked
 const NEAR_PX = 14; // from a click to the row that it means
+const FEW = 30; // rows of the effective sample below which no dimension is said to have the weight
 const HISTS = 14; // histograms that are shown before the reader asks for all
 
 const PRESETS = [
@@ -308,7 +309,10 @@ function say(root) {
   const heading = root.querySelector(".map-sentence");
   if (!rows.count) heading.textContent = "The buffer is empty.";
   else if (!chosen) {
-    heading.textContent = most.length
+    const sample = (sum * sum) / squares;
+    heading.textContent = sample < FEW && 2 * sample < rows.count
+      ? `Nearly all of the weight lies on ${sample < 1.5 ? "one row" : `about ${sample.toFixed(0)} rows`}.`
+      : most.length
       ? `The weight goes to ${most.join(", ")}.`
       : "No part of the buffer stands out: the weight lies about where the rows lie.";
   } else {

@@ -52,6 +52,9 @@ def _one(scope: Scope) -> None:
     if run is None:
         st.info("No run here has fitted a model yet: weights come with the first fit.")
         return
+    if scope.asked != run.run_id and any(one.run_id == scope.asked for one in scope.runs):
+        st.info("The chosen run has not fitted a model yet: weights come with the first fit.")
+        return
     profiles = readers.profiles(run)
     fits, evaluations = profiles.env_step.tolist(), run.evaluation_steps()
     if run.run_id in data:
@@ -68,12 +71,9 @@ def _one(scope: Scope) -> None:
             _numbers(run, profiles)
             _even(run, profiles, fits.index(at_or_before(fits, step)))
             exam.say(run, at_or_before(fits, step))
-        # The map takes longest, so it begins first.
-        above = st.container()
-        in_buffer.draw(run, step)
+            _over_time(run, profiles, at_or_before(fits, step))
+        in_buffer.draw(run, at_or_before(fits, step))
         if run.env != ROAD:
-            with above:
-                _over_time(run, profiles, at_or_before(fits, step))
             _elsewhere(run, step)
         timeline.draw(fits, evaluations, step)
     widgets.show_problems(run)

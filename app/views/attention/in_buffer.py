@@ -53,7 +53,7 @@ def draw(run: RunReader, fit: int) -> None:
         if not empty.left_out(run, "buffer", "other snapshots"):
             st.warning(UNREADABLE)
         return
-    top = st.columns([4, 4, 4, 3], vertical_alignment="bottom")
+    top = st.columns(3, vertical_alignment="bottom")
     source = _pick_weights(run, sources, fit, top[0])
     rows = buffer_map.rows(run, source)
     if rows is None:

@@ -70,7 +70,9 @@ def test_equal_weights_and_constant_rows_have_a_plane_that_explains_nothing(coun
     )
     names = ("x", "v"), ("push",)
     assert planes.feature_names(*names) == ["x", "v", "push", "next x", "next v"]
-    xy = planes.of_rows(planes.contrast_of(rows, np.ones(count), names), rows)
+    plane = planes.contrast_of(rows, np.ones(count), names)
+    assert not plane.axes.any()
+    xy = planes.of_rows(plane, rows)
     assert xy.shape == (count, 2)
     assert planes.explained(xy, np.ones(count)) == 0
 
