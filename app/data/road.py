@@ -42,7 +42,6 @@ class Picture:
     step: int
     road: RoadShape
     grid: NDArray[np.float64]  # (CELLS, CELLS) mean weight, row 0 at the lowest y
-    share: float  # of the weight that lies on the road
     expert: list[NDArray]  # (H + 1, 2) each
     learnt: list[NDArray]  # (H + 1, 2) each
     points: NDArray  # (G, 2)
@@ -79,7 +78,6 @@ def picture(run: RunReader, step: int) -> Picture | None:
         step=step,
         road=road,
         grid=weight_grid(obs, weight),
-        share=road_share(obs, weight, road),
         expert=trajectories(lines, "expert"),
         learnt=trajectories(lines, "learnt"),
         points=model.get("points", nothing),
@@ -123,13 +121,6 @@ def weight_grid(obs: NDArray, weight: NDArray, cells: int = CELLS) -> NDArray[np
 def cell_centres(cells: int = CELLS) -> NDArray[np.float64]:
     """The coordinates (cells,) of the cells' centres along one side."""
     return (np.arange(cells) + 0.5) / cells
-
-
-def road_share(obs: NDArray, weight: NDArray, road: RoadShape) -> float:
-    """Share of the weight of all transitions, the expert's too, on the road; NaN without weight."""
-    weight = np.asarray(weight, np.float64)
-    total = weight.sum()
-    return float(weight[on_road(obs, road)].sum() / total) if total else float("nan")
 
 
 def outline(road: RoadShape) -> list[NDArray[np.float64]]:

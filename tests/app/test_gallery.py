@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import streamlit as st
-from studio_pages import array, draw, figures, map_of, set_links, trace
+from studio_pages import array, draw, figures, map_of, parts, set_links, trace
 
 from app.data import studies
 from app.figures.weights import FLOOR
@@ -170,11 +170,11 @@ def test_replays_plays_its_last_episode(run: RunReader) -> None:
 @pytest.mark.usefixtures("shown")
 def test_the_roads_weights_are_drawn_over_the_map(run: RunReader) -> None:
     app = draw("attention", run=run.run_id)
-    shown = {metric.label: metric.value for metric in app.metric}
+    (shown,) = parts(app, "tom_readout")
+    numbers = {number["label"]: number["values"] for number in shown["numbers"]}
     share = values(run, "weights/road_share")[1][-1]
-    assert float(shown["weight on the road"].split()[0]) == pytest.approx(100 * share, abs=0.2)
-    table = app.dataframe[0].value
-    assert len(table) == sum(r.env == ROAD for r in COPIES)
+    assert numbers["weight on the road"][-1] == readable.percent(share)
+    assert trace(figures(app)[0], name="weights")
 
 
 @pytest.mark.parametrize("path", WEIGHINGS, ids=lambda path: path.name)

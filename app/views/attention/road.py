@@ -1,7 +1,6 @@
 """Road and rocks: the weights on the map in 3D and 2D, and the resulting performance."""
 
 import numpy as np
-import pandas as pd
 import streamlit as st
 
 from app import session, text
@@ -9,13 +8,13 @@ from app.data import readers, road
 from app.data.called import names, told_apart
 from app.data.road import Picture
 from app.figures.road import cells, road_map
-from app.parts import address, widgets
+from app.parts import address, readout, widgets
 from app.parts.plot import Follow, chart
+from app.parts.readout import Number
 from app.parts.scope import Scope
 from app.parts.stage import stage
 from app.scenes.control import RoadChoice
 from app.scenes.road_frame import as_html
-from app.theme import learner_label
 from tom import readable
 from tom.analysis.curves import curve_points
 from tom.envs import ROAD
@@ -27,21 +26,22 @@ SMALL = 360
 """height of a flat map beside others"""
 BESIDE = 3
 """maximum number of runs beside the first one"""
-TABLE = {
-    "weights/road_share": "weight on the road",
-    "weights/road_ratio": "road : rocks, random data",
-    "model/error_expert": "error, expert",
-    "model/error_road": "error, road",
-    "model/error_rocks": "error, rocks",
-    "planner/return": "planner return",
-    "eval/return": "policy return",
-    "eval/success": "success",
-}
-SHARE = "of all data, the expert's too; the road is 30 % of the map"
-RATIO = (
-    "mean weight on the road over mean weight on the rocks, of the random data alone: the expert's "
-    "data, all of it on the road, does not count here"
-)
+NUMBERS = {
+    "weight on the road": (
+        "weights/road_share", "of all data, the expert's too; the road is 30 % of the map",
+    ),
+    "road : rocks, random data": (
+        "weights/road_ratio",
+        "mean weight on the road over mean weight on the rocks, of the random data alone: the "
+        "expert's data, all of it on the road, does not count here",
+    ),
+    "error, expert data": ("model/error_expert", "one-step error in full steps"),
+    "error, road": ("model/error_road", "one-step error in full steps"),
+    "error, rocks": ("model/error_rocks", "one-step error in full steps"),
+    "planner return": ("planner/return", describe("planner/return")),
+    "policy return": ("eval/return", "mean return of the policy at this step"),
+}  # fmt: skip
+"""by their label: metric and explanation"""
 
 
 def draw(scope: Scope, run: RunReader, step: int) -> None:
@@ -64,16 +64,13 @@ def draw(scope: Scope, run: RunReader, step: int) -> None:
     if picture is None:
         st.warning("This run's map cannot be read.")
         return
-    _numbers(run, picture)
+    _numbers(run)
     together = [run, *(others[run_id] for run_id in beside)]
     _pictures(together, picture.step)
     _export(together)
-    _every_learner(shown)
-    for each in others.values():
-        # For runs that are only in the table, only the parts that the table needs.
-        drawn = each in together
-        problems = readers.problems(each) if drawn else readers.metrics_problems(each)
-        widgets.show_problems(each, problems)
+    widgets.link_to("curves", "All runs of this task, side by side")
+    for each in together[1:]:
+        widgets.show_problems(each)
 
 
 def _pictures(together: list[RunReader], step: int) -> None:
@@ -91,16 +88,6 @@ def _pictures(together: list[RunReader], step: int) -> None:
         stage(RoadChoice(ids, step), HEIGHT)
     with right:
         _flat_map(together[0], step, HEIGHT)
-
-
-def _every_learner(shown: list[RunReader]) -> None:
-    st.markdown("**Every learner**: at the last step that was recorded")
-    st.dataframe(comparison(shown), hide_index=True, column_config=_columns())
-    st.caption(
-        "Errors are root mean squared one-step errors in full steps (the task's noise alone makes "
-        "0.07). Planner: value iteration in the learnt model, driven in the real task; policy: SAC "
-        "in the learnt model, driven in the real task."
-    )
 
 
 def _flat_map(run: RunReader, step: int, height: int, called: str = "") -> None:
@@ -153,50 +140,13 @@ def _export(runs: list[RunReader]) -> None:
     )
 
 
-def comparison(runs: list[RunReader]) -> pd.DataFrame:
-    """One row per run: the last value of each number of the claim."""
-    rows = []
-    for run in runs:
-        frame = readers.metrics(run)
-        row = {"learner": learner_label(run.learner), "seed": run.seed}
-        row |= {name: last_value(frame, metric) for metric, name in TABLE.items()}
-        rows.append(row | {"run": run.run_id})
-    return pd.DataFrame(rows).sort_values(["learner", "seed"])
-
-
-def last_value(frame: pd.DataFrame, metric: str, step: int | None = None) -> float:
-    """The last recorded value of a metric, at or before `step` if given."""
-    at, values = curve_points(frame, metric)
-    values = values if step is None else values[at <= step]
-    return float(values[-1]) if len(values) else float("nan")
-
-
-def _numbers(run: RunReader, picture: Picture) -> None:
-    frame = readers.metrics(run)
-    columns = st.columns(6)
-
-    def show(at: int, label: str, value: float, digits: int, unit: str, words: str) -> None:
-        columns[at].metric(label, f"{readable.number(value, digits)}{unit}", help=words)
-
-    columns[0].metric("learner", text.markdown(learner_label(run.learner)))
-    recorded = last_value(frame, "weights/road_share", picture.step)
-    share = picture.share if np.isfinite(picture.share) else recorded  # a copy without its buffer
-    show(1, "weight on the road", 100 * share, 1, " %", SHARE)
-    ratio = last_value(frame, "weights/road_ratio", picture.step)
-    show(2, "road : rocks, random data", ratio, 1, "", RATIO)
-    expert = last_value(frame, "model/error_expert", picture.step)
-    show(3, "error, expert data", expert, 2, "", "one-step error in full steps")
-    rocks = last_value(frame, "model/error_rocks", picture.step)
-    show(4, "error, rocks", rocks, 2, "", "one-step error in full steps")
-    score = last_value(frame, "eval/return", picture.step)
-    show(5, "policy return", score, 1, "", "mean return of the policy at this step")
-
-
-def _columns() -> dict:
-    number = st.column_config.NumberColumn
-    plain = {name: number(name, format="%.3g") for name in TABLE.values()}
-    return plain | {
-        "weight on the road": number("weight on the road", format="percent"),
-        "planner return": number("planner return", format="%.3g", help=describe("planner/return")),
-        "success": number("success", format="percent"),
-    }
+def _numbers(run: RunReader) -> None:
+    """What was last measured by each of the run's fits."""
+    frame, steps = readers.metrics(run), road.steps(run)
+    numbers = []
+    for label, (metric, words) in NUMBERS.items():
+        at, values = curve_points(frame, metric)
+        last = [float(values[at <= step][-1]) if (at <= step).any() else np.nan for step in steps]
+        shown = readable.percent if metric == "weights/road_share" else readable.short
+        numbers.append(Number(label, [shown(value) for value in last], words))
+    readout.readout("numbers", steps, numbers)

@@ -6,19 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from studio_runs import ROAD_TOM, info
+from studio_runs import ROAD_TOM
 
-from app.data import readers, road
+from app.data import road
 from app.data.road import (
     RoadShape,
     distance_to_road,
     on_road,
     outline,
-    road_share,
     trajectories,
     weight_grid,
 )
-from tom.analysis.curves import curve_points
 from tom.record import layout
 from tom.record.reader import RunReader
 from tom.road import task
@@ -59,16 +57,10 @@ def test_cells_hold_the_mean_of_their_transitions() -> None:
     assert mean[row, column] == pytest.approx(weight[inside].mean())
 
 
-def test_no_weight_has_no_share(road_map: RoadShape) -> None:
-    assert np.isnan(road_share(np.array([[0.1, 0.12], [0.5, 0.5]]), np.zeros(2), road_map))
-
-
 def test_a_picture_says_what_the_run_recorded(store: Path) -> None:
     run = RunReader(store / ROAD_TOM)
     picture = road.picture(run, road.steps(run)[-1])
     assert picture is not None
-    recorded = curve_points(readers.metrics(info(store, ROAD_TOM)), "weights/road_share")[1]
-    assert picture.share == pytest.approx(recorded[0], abs=1e-4)
     obs = np.asarray(run.buffer()[0].obs)
     weight = run.snapshot(picture.step)["weight"].to_numpy()
     assert np.array_equal(picture.grid, weight_grid(obs, weight), equal_nan=True)

@@ -5,15 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studio_pages import array, draw, figures, metrics, recorded, set_links, trace
+from studio_pages import array, draw, figures, parts, trace
 from studio_runs import ROAD_MLE, ROAD_TOM, altered, info
 
 from app.data import road
 from app.data.called import names, short_names, task, told_apart
-from app.links import Links
 from app.theme import COLUMNS, DIVERGING, rgb
 from app.views.attention.road import BESIDE
-from tom.record.export import export_small
+from tom.readable import percent
 from tom.record.labels import Labels
 from tom.record.reader import RunReader
 
@@ -22,15 +21,16 @@ pytestmark = pytest.mark.usefixtures("studio")
 
 def test_the_weights_and_the_policy_lie_over_the_map(store: Path) -> None:
     app = draw("attention", run=ROAD_TOM)
-    (figure,) = figures(app)
+    figure = figures(app)[0]
     heat = trace(figure, name="weights")
     weight = RunReader(store / ROAD_TOM).snapshot(60)["weight"].to_numpy()
     assert np.nanmax(array(heat["customdata"])) <= weight.max() + 1e-5
-    share = recorded(store, ROAD_TOM, "weights/road_share")[1][-1]
-    assert metrics(app)["weight on the road"] == f"{100 * share:.1f} %"
-    table = app.dataframe[0].value.set_index("run")
-    assert table.loc[ROAD_TOM, "weight on the road"] == pytest.approx(share)
-    assert table.loc[ROAD_MLE, "road : rocks, random data"] == pytest.approx(1, abs=0.01)
+    (shown,) = parts(app, "tom_readout")
+    numbers = {number["label"]: number["values"] for number in shown["numbers"]}
+    obs = np.asarray(RunReader(store / ROAD_TOM).buffer()[0].obs)
+    there = road.on_road(obs, road.RoadShape.of(RunReader(store / ROAD_TOM).field("map", 0)))
+    share = weight[there].sum() / weight.sum()
+    assert numbers["weight on the road"] == [percent(share)] * len(shown["steps"])  # one fit of all
     policy = trace(figures(draw("attention", run=ROAD_TOM, step="0"))[0], name="TOM policy")
     first = RunReader(store / ROAD_TOM).field("trajectories", 0)["learnt_0"]
     assert array(policy["x"])[: len(first)] == pytest.approx(first[:, 0])
@@ -57,16 +57,6 @@ def test_more_runs_than_stand_beside_are_cut_to_those_that_do(own: Path) -> None
     app = draw("attention", run=ids[0], beside=ids[1:])
     assert app.multiselect(key="beside").value == ids[1:-1]
     assert app.query_params["beside"] == ids[1:-1]
-
-
-def test_a_copy_without_its_buffer_says_what_was_recorded_of_the_road(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = metrics(draw("attention", run=ROAD_TOM, step="60"))["weight on the road"]
-    export_small(RunReader(store / ROAD_TOM), tmp_path, without=["buffer"])
-    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    assert metrics(draw("attention", run=ROAD_TOM, step="60"))["weight on the road"] == whole
-    assert float(whole.split()[0]) > 0
 
 
 def test_runs_that_would_be_called_the_same_are_told_apart(store: Path) -> None:
