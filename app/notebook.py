@@ -48,4 +48,4 @@ def _of_run(run: Run, height: int) -> Figures:
 
 def _of_weighing(weighing: Weighing, height: int) -> Figures:
     share = weighing.random_share
-    return Figures(profiles=probe_profiles(weighing.by_learner(), share, height, log=False))
+    return Figures(profiles=probe_profiles(weighing.by_learner(), share, height))

@@ -1,6 +1,6 @@
 """The map of a buffer: its planes, the weights on it, and which rows a selection chooses."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -233,29 +233,35 @@ def explained(run: RunReader, key: str, source: Source) -> float:
 _EXPLAINED: VersionedCache[float] = VersionedCache()
 
 
+def coded(run: RunReader, source: Source, name: str) -> tuple[columns.Codes, Column] | None:
+    """The codes (N,) of a quantity of the rows of these weights; None if it is not known."""
+    if name == AGE.name:
+        return columns.age_codes(len(source.weight)), AGE
+    if name == WEIGHT.name:
+        return columns.weight_codes(source.weight), WEIGHT
+    if name == RANK.name:
+        return columns.rank_codes(columns.weight_codes(source.weight)), RANK
+    if name == DISTANCE.name:
+        far = distances(run, source)
+        return None if far is None else (_coded(far, DISTANCE), DISTANCE)
+    for column in columns.recorded(run):
+        if column.name == name:
+            return columns.codes(run, name)[source.first : source.end], column
+    return None
+
+
 def chosen(run: RunReader, source: Source, selection: Selection) -> Mask:
     """A mask (N,) of the rows of these weights that a selection chooses.
 
     What it says of quantities and planes that this buffer lacks is left out.
     """
-    part = slice(source.first, source.end)
     mask = np.ones(len(source.weight), bool)
-    known: Mapping[str, Column] = {one.name: one for one in columns.recorded(run)}
-    weights = columns.weight_codes(source.weight)
     for name, interval in selection.intervals.items():
-        if name == AGE.name:
-            mask &= between(columns.age_codes(len(mask)), AGE, interval)
-        elif name == RANK.name:
-            mask &= between(columns.rank_codes(weights), RANK, interval)
-        elif name == WEIGHT.name:
-            mask &= between(weights, WEIGHT, interval)
-        elif name == DISTANCE.name:
-            far = distances(run, source)
-            mask &= True if far is None else between(_coded(far, DISTANCE), DISTANCE, interval)
-        elif name in known:
-            mask &= between(columns.codes(run, name)[part], known[name], interval)
+        if (found := coded(run, source, name)) is not None:
+            mask &= between(*found, interval)
     place = placed(run, selection.outline.plane) if selection.outline else None
     if selection.outline and place:
+        part = slice(source.first, source.end)
         x, y = (
             columns.decode(place.codes(axis)[part], place.column(axis).low, place.column(axis).high)
             for axis in (0, 1)

@@ -31,7 +31,6 @@ def probe_profiles(
     random: float,
     height: int,
     *,
-    log: bool,
     keep: str = "",
 ) -> go.Figure:
     """The median profile over seeds of each learner (S, bins), with the range of its seeds.
@@ -71,9 +70,8 @@ def probe_profiles(
         marks=marks,
         y="mean weight",
         x_axis=AGES,
-        y_axis={"type": "linear"},
     )
-    return on_log_axis(figure) if log else figure
+    return on_log_axis(figure)
 
 
 def errors_by_age(

@@ -2,11 +2,8 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
-import numpy as np
 import pandas as pd
 import streamlit as st
-from numpy.typing import NDArray
-from streamlit.delta_generator import DeltaGenerator
 
 from app import text
 from app.data import readers
@@ -25,10 +22,6 @@ def curve(run: RunReader, metric: str) -> Curve:
     return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value)
 
 
-TOWERS = 20.0
-"""a weight (relative to uniform) that makes the others invisible on a linear axis"""
-
-
 def telling(run: RunReader) -> tuple[object, ...]:
     """A sort key: runs with uneven weights first, then one's own before examples, then the rank of
     their learner, the longest and the most complete."""
@@ -44,12 +37,6 @@ def differs(run: RunReader) -> bool:
         return False  # known without reading
     profiles = readers.profiles(run)
     return len(profiles.ess) > 0 and bool(profiles.ess[-1] < 0.99)
-
-
-def pick_log(place: DeltaGenerator, profiles: Sequence[NDArray[np.float64]]) -> bool:
-    """Whether weights are on a log axis; the default is true if one weight dominates."""
-    tall = any(bins.size and bins.max() > TOWERS for bins in profiles)
-    return place.toggle("Log axis", value=tall, key="log", bind="query-params")
 
 
 def show_problems(run: RunReader, problems: Sequence[str] | None = None) -> None:

@@ -40,4 +40,4 @@ def test_a_weighings_figures_are_those_of_the_pages(store: Path):
     named = {line.get("name"): line for line in lines(shown["profiles"])}
     assert set(named) == {"PMAC (1 seed)", "MLE (1 seed)"}
     means = [part.mean() for part in np.array_split(found.weights["pmac-s0"], 100)]
-    assert array(named["PMAC (1 seed)"]["y"]) == pytest.approx(np.array(means))
+    assert array(named["PMAC (1 seed)"]["customdata"]) == pytest.approx(np.array(means))

@@ -96,15 +96,12 @@ def _weighed(weighing: Weighing, rows: int) -> None:
         st.markdown(sentence)
     left, right = st.columns([5, 4])
     with left, st.container(border=True):
-        head = st.container(horizontal=True, vertical_alignment="center")
-        head.markdown(
+        st.markdown(
             f"**By the policy of {text.markdown(weighing.policy)}**: the dotted line ends the "
             "random data"
         )
-        profiles = weighings.profiles(of)
-        log = widgets.pick_log(head, list(profiles.values()))
         share = weighing.ordered_from / count
-        figure = probe_profiles(profiles, share, 400, log=log, keep=weighing.name)
+        figure = probe_profiles(weighings.profiles(of), share, 400, keep=weighing.name)
         chart(figure, "probe", "weight profiles of several learners on the same buffer")
     with right, st.container(border=True):
         st.markdown("**What the weights come to**: medians over seeds")

@@ -150,12 +150,10 @@ def test_a_log_axis_says_what_it_leaves_out_and_keeps_bands_above_zero() -> None
 
 def test_profiles_on_a_log_axis_end_at_a_hundredth_of_uniform() -> None:
     values = np.array([[0.0, 0.0, 2.0, 1.0], [0.0, 1.0, 4.0, 1.0]])
-    band, line = traces(probe_profiles({"tom": values}, 0, 300, log=True))
+    band, line = traces(probe_profiles({"tom": values}, 0, 300))
     assert band.y.tolist() == [0.01, 1, 4, 1, 1, 2, 0.01, 0.01]
     assert line.y.tolist() == [0.01, 0.5, 3, 1]
     assert line.customdata.tolist() == [0, 0.5, 3, 1]
-    band, _ = traces(probe_profiles({"tom": values}, 0, 300, log=False))
-    assert band.y.min() == 0
 
 
 def test_where_runs_are_missing_the_mean_is_dotted() -> None:
@@ -269,7 +267,7 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
         weight_profile(bins[last], "tom", 300, keep=run_id),
         run_curves([curve], "eval/return", 300, legend=False, keep=run_id),
         side_by_side([("a", curve, profiles)], "light", 400),
-        probe_profiles({"tom": bins}, 0, 300, log=False, keep=run_id),
+        probe_profiles({"tom": bins}, 0, 300, keep=run_id),
         errors_by_age([("a", "tom", bins[last])], 5, 300, keep=run_id),
         focus(errors, 300, "model/error_policy"),
         moments_figure(bins[None], bins[None], ["a"], 100, keep=run_id),

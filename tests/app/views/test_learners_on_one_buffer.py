@@ -14,7 +14,6 @@ from studio_runs import PENDULUM_TOM, info, with_weighing
 
 from app.data import buffer, weighings
 from app.links import Links
-from app.parts import widgets
 from app.views.attention.learners import nearest
 from app.views.attention.weigh import FOREIGN
 from tom import plugins
@@ -50,15 +49,6 @@ def weighed(
     there = with_weighing(store, results, tmp_path)
     set_links(Links(store=str(there), key="key"), monkeypatch)
     return there / "weighings" / "made"
-
-
-@pytest.mark.parametrize(("towers", "axis"), [(0.5, "log"), (1e9, "linear")])
-def test_where_one_learners_weights_tower_they_are_on_a_log_axis(
-    towers: float, axis: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(widgets, "TOWERS", towers)
-    app = on_one_buffer(run=PENDULUM_TOM)
-    assert figures(app)[0]["layout"]["yaxis"]["type"] == axis
 
 
 def test_a_weighing_is_found_by_its_run(weighed: Path) -> None:
