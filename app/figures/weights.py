@@ -102,13 +102,12 @@ def with_returns(figure: go.Figure, curve: Curve) -> go.Figure:
 
 
 def weight_profile(
-    bins: NDArray[np.float64],
-    learner: str,
-    height: int,
-    *,
-    keep: str = "",
+    bins: NDArray[np.float64], learner: str, height: int, *, top: float = 1.0, keep: str = ""
 ) -> go.Figure:
-    """The weight of each part of the buffer at one fit, oldest to newest: bins (100,)."""
+    """The weight of each part of the buffer at one fit, oldest to newest: bins (100,).
+
+    The axis is that of `on_log_axis`.
+    """
     figure = go.Figure(
         go.Bar(
             x=bin_centres(len(bins)),
@@ -119,23 +118,11 @@ def weight_profile(
             hovertemplate=f"{AT_AGE}<br>weight %{{y:.3g}}<extra></extra>",
         )
     )
-    _finish_profile(figure, height, keep)
-    figure.update_layout(showlegend=False, bargap=0)
-    return figure
-
-
-def _finish_profile(figure: go.Figure, height: int, keep: str) -> None:
-    styled(
-        figure,
-        PLACE,
-        height,
-        keep=f"profile {keep}",
-        marks=[across(1, 1.5, "dash")],
-        x_axis=AGES,
-        y_axis={"type": "linear", "rangemode": "tozero"},
-        # Plotly leaves out a label that does not fit: "oldest", left of an axis with short labels.
-        margin={"l": HALF_A_WORD},
-    )
+    # Plotly leaves out a label that does not fit: "oldest", left of an axis with short labels.
+    more = {"margin": {"l": HALF_A_WORD}, "showlegend": False, "bargap": 0}
+    marks, kept = [across(1, 1.5, "dash")], f"profile {keep}"
+    styled(figure, PLACE, height, keep=kept, marks=marks, x_axis=AGES, **more)
+    return on_log_axis(figure, top)
 
 
 def on_log_axis(figure: go.Figure, top: float = 1.0) -> go.Figure:

@@ -9,7 +9,6 @@ from studio_pages import array, draw, figures
 from studio_runs import PENDULUM_TOM
 
 import tom
-from app.figures.weights import FLOOR
 
 pytestmark = pytest.mark.usefixtures("studio")
 
@@ -25,7 +24,7 @@ def test_a_runs_figures_are_those_of_the_pages(store: Path):
         array(lines(shown["every fit"])[0]["z"]), array(page[0]["data"][0]["z"])
     )
     last = array(lines(shown["the last fit"])[0]["y"])
-    assert array(page[1]["data"][0]["y"]) == pytest.approx(last.clip(FLOOR))
+    assert array(page[1]["data"][0]["y"]) == pytest.approx(last)
     curve = lines(shown["return"])[0]
     frame = tom.load(PENDULUM_TOM, store).metrics["eval/return"].dropna()
     assert array(curve["x"]).tolist() == frame.index.tolist()

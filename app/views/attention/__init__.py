@@ -10,7 +10,7 @@ from app.data import buffer, readers, weighings
 from app.data.answer import newest_share
 from app.data.called import names
 from app.figures.base import steps_in_words
-from app.figures.weights import FLOOR, on_log_axis, weight_map, weight_profile, with_returns
+from app.figures.weights import FLOOR, weight_map, weight_profile, with_returns
 from app.parts import address, readout, timeline, widgets
 from app.parts.plot import Follow, Point, chart
 from app.parts.readout import Number
@@ -96,7 +96,7 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
         st.markdown("**This fit**; dashed: every transition counts the same")
         top = float(np.nanmax(profiles.bins))  # of all fits, so that the axis stands still
         bins = profiles.bins[fits.index(fit)]
-        figure = on_log_axis(weight_profile(bins, run.learner, HEIGHT, keep=run.run_id), top)
+        figure = weight_profile(bins, run.learner, HEIGHT, top=top, keep=run.run_id)
         finite = np.maximum(np.nan_to_num(profiles.bins), FLOOR)  # JSON has no NaN
         at_fits = [[float(f"{value:.3g}") for value in row] for row in finite]
         follow = Follow(steps=fits, traces={0: at_fits})
