@@ -108,9 +108,11 @@ JUDGED_ERRORS = 2000
 """of them, those from which the ends are estimated"""
 
 
-@cached("buffer", "model")
 def values(run: RunReader, name: str) -> NDArray:
-    """A quantity (N,) of all recorded rows of a run; NaN where it is not known."""
+    """A quantity (N,) of all recorded rows of a run; NaN where it is not known.
+
+    Most are views of the rows, which would take their room in the cache twice.
+    """
     rows = buffer.recorded(run).rows.numpy()
     if name == REWARD:
         return np.asarray(rows.reward)

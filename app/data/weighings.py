@@ -193,7 +193,7 @@ class Weighing:
     def weights(self) -> dict[tuple[str, int], NDArray[np.float32]]:
         """The weights (N,) by learner and seed; empty if they cannot be read."""
         return {
-            whose: values.astype(np.float32)
+            whose: values.astype(np.float32, copy=False)
             for column, values in self.table().items()
             if (whose := _learner_and_seed(column)) is not None
         }
