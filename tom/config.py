@@ -326,6 +326,26 @@ class SacRecordingConfig(RunConfig):
         return 2 * self.steps
 
 
+OWN_LOOP = "own-loop"
+"""stands for the learner in the record of a training loop of the user's own"""
+
+
+class OwnLoopConfig(RunConfig):
+    """A training loop of the user's own (docs/your-own-loop.md), or live weights of its buffer."""
+
+    learner: str = OWN_LOOP
+    """own-loop: the record of the loop itself; else the learner whose weights its buffer gets"""
+    steps: Steps = 1_000_000
+    """planned env steps: progress, and which fits' weights are kept, follow from it"""
+    preset: str = ""
+    own: dict[str, Any] = {}
+    """what the user gave as configuration"""
+    of: str = ""
+    """of live weights: the run whose buffer is weighed"""
+    every: Count = 5000
+    """of live weights: env steps between two fits"""
+
+
 class RoadConfig(RunConfig):
     """Offline model-based RL on road-and-rocks with a linear model (paper, section 5.1)."""
 

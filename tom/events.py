@@ -44,7 +44,7 @@ class Weights:
     that weigh each dimension (then `weight` is its mean over dimensions). If the learner
     has a dual Q, `log_ratio` (N,) is its input r, and `terms` (N,) are the other terms of the
     weight (`tom.learners.terms`). `policy` is the policy of interest at this fit, as the arrays of
-    `tom.policy.stored`.
+    `tom.policy.stored`. `rows` have been recorded so far, if these are not `env_step`.
     """
 
     env_step: int
@@ -53,6 +53,7 @@ class Weights:
     log_ratio: FloatArray | None = None
     terms: Mapping[str, FloatArray] = field(default_factory=dict)
     policy: Mapping[str, NDArray] | None = None
+    rows: int | None = None
 
 
 @dataclass(frozen=True)

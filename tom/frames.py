@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.analysis.imagine import step_errors, stored_model
-from tom.analysis.ordered_data import OrderedData, find_run
+from tom.analysis.ordered_data import OrderedData, find_run, in_own_units
 from tom.analysis.row_table import row_table, transition_table
 from tom.analysis.weighing import Weighed, plan_weighing
 from tom.data.sampling import bin_means
@@ -64,8 +64,13 @@ class Run:
 
     @cached_property
     def transitions(self) -> pd.DataFrame:
-        """The replay buffer, one row per transition, oldest first."""
-        return transition_table(self.reader.buffer()[0])
+        """The replay buffer, one row per transition, oldest first.
+
+        As agents see it (`tom.envs`); of a loop of your own in the task's own units.
+        """
+        rows = self.reader.buffer()[0]
+        own = self.reader.own_loop and len(rows)
+        return transition_table(in_own_units(self.reader, rows) if own else rows)
 
     def weights(self, step: int | None = None) -> pd.DataFrame:
         """All weights of the fit at `step` (default: the last stored one), one row per transition.
@@ -86,7 +91,7 @@ class Run:
         weight = self.reader.snapshot(step)["weight"].to_numpy(np.float32)
         record = self.reader.buffer()[0]
         # Offline data is complete from the first step on; online, each step adds a row.
-        end = len(record) if self.reader.env == ROAD else step
+        end = len(record) if self.reader.env == ROAD else self.reader.rows_at(step)
         if not len(weight) <= end <= len(record):
             raise UserError(
                 f"run {self.name} does not keep its buffer of step {step}"

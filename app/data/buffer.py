@@ -121,7 +121,8 @@ def rows(run: RunReader, step: int) -> Rows | None:
     """The replay buffer at the fit of `step`, with that fit's weights; None if it is damaged."""
     weight = fit_weight(run, step)
     # Offline data is complete from the first step on; online, each step adds a row.
-    return weighed_rows(run, weight, len(recorded(run).rows) if run.env == ROAD else step)
+    end = len(recorded(run).rows) if run.env == ROAD else reader(run).rows_at(step)
+    return weighed_rows(run, weight, end)
 
 
 def weighed_rows(run: RunReader, weight: NDArray, end: int) -> Rows | None:

@@ -22,6 +22,7 @@ ROOMS = {  # from the top down; docs/architecture.md draws the same tree
         "studies",
         "studio",
         "integrations",
+        "own_loop",
         "frames",
         "reports",
         "analysis",

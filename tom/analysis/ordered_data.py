@@ -210,6 +210,23 @@ def to_unit_range(action: NDArray, known: Task) -> NDArray[np.float32]:
     return ((2 * action - (high + low)) / (high - low)).astype(np.float32)
 
 
+def in_own_units(run: RunReader, rows: Transitions) -> Transitions:
+    """Rows of a run's record in its task's own units; imports no task of the user's."""
+    described = run.config.get("task")
+    if isinstance(described, dict):
+        names = ("action_low", "action_high", "obs_offset", "obs_scale")
+        low, high, offset, scale = (np.array(described[name]) for name in names)
+    else:
+        low, high = action_bounds(task(run.env))
+        offset, scale = 0.0, 1.0
+    return replace(
+        rows,
+        obs=(rows.obs * scale + offset).astype(np.float32),
+        next_obs=(rows.next_obs * scale + offset).astype(np.float32),
+        action=((rows.action * (high - low) + (high + low)) / 2).astype(np.float32),
+    )
+
+
 def action_bounds(known: Task) -> tuple[NDArray, NDArray]:
     """The least and the largest action of a task, (A,) each, in its own units."""
     if isinstance(known, GymnasiumTask):  # its wrappers may have changed the innermost bounds

@@ -6,9 +6,12 @@ The library keeps both in pickles, which are code. Here they become numbers and 
 
     sb3.export_buffer(model, "buffer.npz")
     sb3.export_policy(model, "policy.pt")
+
+`sb3.RecordCallback` records a training while it runs (tom/integrations/sb3_callback.py).
 """
 
 import warnings
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +23,12 @@ from torch import Tensor
 from tom.errors import UserError
 
 Columns = dict[str, NDArray]
+
+
+def __getattr__(name: str) -> Any:
+    if name != "RecordCallback":
+        raise AttributeError(f"module {__name__} has no {name}")
+    return import_module("tom.integrations.sb3_callback").RecordCallback
 
 
 def export_buffer(model: Any, path: str | Path) -> None:

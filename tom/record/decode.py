@@ -142,6 +142,7 @@ class Profiles:
     count: NDArray[np.int64]  # (F,) transitions in the buffer
     ess: NDArray[np.float64]  # (F,) effective sample size as a share of the buffer
     zeros: NDArray[np.float64]  # (F,) share of transitions with weight zero
+    rows: NDArray[np.int64]  # (F,) rows recorded so far; the buffer is the newest `count` of them
 
 
 def profiles_of(rows: Sequence[Mapping[str, Any]]) -> Profiles:
@@ -153,6 +154,7 @@ def profiles_of(rows: Sequence[Mapping[str, Any]]) -> Profiles:
         count=np.array([row["count"] for row in rows], np.int64),
         ess=np.array([row["ess"] for row in rows], np.float64),
         zeros=np.array([row["zeros"] for row in rows], np.float64),
+        rows=np.array([row.get("rows", row["env_step"]) for row in rows], np.int64),
     )
 
 

@@ -134,6 +134,12 @@ class RunReader:
         return self.learner != SAC_ALONE
 
     @property
+    def own_loop(self) -> bool:
+        """Whether it is of a training loop of the user's own, which nothing here can resume."""
+        settings = self.config.get("config")
+        return isinstance(settings, dict) and "own" in settings
+
+    @property
     def seed(self) -> int:
         return self.config.get("seed", 0)
 
@@ -193,6 +199,12 @@ class RunReader:
     def profiles(self) -> Profiles:
         """The weight profile of every model fit."""
         return self._rows(layout.PROFILES, decode.profiles_of)
+
+    def rows_at(self, step: int) -> int:
+        """The number of rows that the run had recorded at the fit of `step`."""
+        profiles = self.profiles()
+        found = profiles.rows[profiles.env_step == step]
+        return int(found[-1]) if len(found) else step
 
     def notices(self) -> list[dict[str, Any]]:
         """The notices, with `env_step`, `code` and `message`."""

@@ -221,6 +221,7 @@ class RunWriter:
             "bins": bin_means(weights.weight, bins).numpy(),
             "ess": ess(weights.weight),
             "zeros": zero_share(weights.weight),
+            **({} if weights.rows is None else {"rows": weights.rows}),
         }
         self._append(layout.PROFILES, row)
 

@@ -7,10 +7,11 @@ import torch
 from pydantic import ValidationError
 
 from tom import plugins
-from tom.config import SacRecordingConfig, flat
+from tom.config import OwnLoopConfig, SacRecordingConfig, flat
 from tom.data.transitions import Transitions
 from tom.errors import StartAgainError, TryLaterError, UserError, invalid_value, reason
 from tom.events import Notice
+from tom.learners import with_own_settings
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.record import RunReader, Store, checkpoint, lock
@@ -61,6 +62,11 @@ def resume(
             "start it again under another name"
         )
     config = recorded_config(reader)
+    if isinstance(config, OwnLoopConfig):
+        raise UserError(
+            f"run '{run_id}' is of a training loop of your own: start that script again, with "
+            'resume="auto"'
+        )
     if steps not in (None, config.steps):
         if isinstance(config, SacRecordingConfig):
             raise UserError(
@@ -117,14 +123,21 @@ def unfinished(store: Store, config: AnyConfig, *, run_id: str | None = None) ->
     return None
 
 
-def recorded_config(reader: RunReader, otherwise: str = "start it again") -> AnyConfig:
+def recorded_config(
+    reader: RunReader, otherwise: str = "start it again"
+) -> AnyConfig | OwnLoopConfig:
     """The configuration of a run.
 
     Raises UserError if it needs a plug-in that is not loaded, or comes from another version;
     `otherwise` tells the user what to do then.
     """
     plugins.require(reader.run_id, reader.config.get("plugins"))
-    kind = config_type(reader.env, reader.learner) if reader.fits_model else SacRecordingConfig
+    if reader.own_loop:
+        kind = with_own_settings(OwnLoopConfig, [reader.learner])
+    elif reader.fits_model:
+        kind = config_type(reader.env, reader.learner)
+    else:
+        kind = SacRecordingConfig
     try:
         return kind.model_validate(reader.config["config"])  # pyright: ignore[reportReturnType]
     except (KeyError, ValidationError) as error:

@@ -128,6 +128,10 @@ def test_the_map_shows_a_fits_own_weights_as_soon_as_the_timeline_moves(
 def test_the_bench_measures_a_buffer(tmp_path: Path) -> None:
     found = list(map_bench.measure(tmp_path, (400,)))
     assert [one.what for one in found] == [
-        "click to map, first", "click to map, again", "brush", "timeline step", "page memory",
+        f"400 rows{what}"
+        for what in (
+            ", first: click to map", ", again: click to map", ": brush", ": timeline step",
+            ": page memory",
+        )
     ]  # fmt: skip
     assert all(one.value > 0 and one.target is None for one in found)

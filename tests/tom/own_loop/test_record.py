@@ -1,0 +1,306 @@
+"""`tom.record`: what a loop hands in is what `tom.load` gives back, whatever becomes of the loop."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+import tom
+from tom.errors import UserError
+from tom.frames import Run
+from tom.own_loop.run import OwnRun, record
+from tom.policy.stored import read_policy
+from tom.record import files
+
+FIELDS = ("obs", "action", "reward", "next_obs", "terminated", "truncated")
+LIMIT = 7
+
+
+class Watched(gymnasium.Wrapper):
+    """Notes every step of its task that is taken: what a record should have."""
+
+    def __init__(self, env: gymnasium.Env) -> None:
+        super().__init__(env)
+        self.steps: list[tuple] = []
+
+    def reset(self, **options):
+        self._obs, info = self.env.reset(**options)
+        return self._obs, info
+
+    def step(self, action):
+        found = self.env.step(action)
+        self.steps.append((self._obs, action, found[1], found[0], *found[2:4]))
+        self._obs = found[0]
+        return found
+
+
+def watched(env: str = "Pendulum-v1") -> Watched:
+    return Watched(gymnasium.make(env, max_episode_steps=LIMIT))
+
+
+def loaded(run: OwnRun) -> Run:
+    found = tom.load(run.name, store=run.store.path)
+    assert isinstance(found, Run)
+    return found
+
+
+def column(table: pd.DataFrame, name: str) -> np.ndarray:
+    if name in table:
+        return table[name].to_numpy()
+    return table[[c for c in table if str(c).rpartition("_")[0] == name]].to_numpy()
+
+
+def same(table: pd.DataFrame, steps: list[tuple]) -> None:
+    for name, values in zip(FIELDS, map(np.array, zip(*steps, strict=True)), strict=True):
+        np.testing.assert_allclose(column(table, name), values, rtol=1e-5, atol=1e-5)
+
+
+def played(run: OwnRun, env: gymnasium.Env, steps: int, seed: int = 0) -> None:
+    obs, _ = env.reset(seed=seed)
+    env.action_space.seed(seed)
+    for _ in range(steps):
+        action = env.action_space.sample()
+        found = env.step(action)
+        run.transitions(obs, action, found[1], found[0], found[2], found[3])
+        obs = env.reset()[0] if found[2] or found[3] else found[0]
+
+
+@pytest.mark.parametrize("env", ["Pendulum-v1", "InvertedPendulum-v5"])
+@pytest.mark.parametrize("block", [1, 10])
+def test_rows_come_back_as_they_were_handed_in(env: str, block: int, tmp_path: Path):
+    one = watched(env)
+    with record("mine", env=env, store=tmp_path, config={"lr": 1e-3}) as run:
+        if block == 1:
+            played(run, one, 40)
+        else:
+            with record("other", env=env, store=tmp_path) as other:
+                played(other, one, 40)
+            rows = [np.array(part) for part in zip(*one.steps, strict=True)]
+            for first in range(0, 40, block):
+                run.transitions(*(part[first : first + block] for part in rows))
+    found = loaded(run)
+    same(found.transitions, one.steps)
+    ended = [i + 1 for i, step in enumerate(one.steps) if step[4] or step[5]]
+    returns = found.metrics["train/return"].dropna()
+    assert returns.index.tolist() == ended
+    episodes = np.split([step[2] for step in one.steps], ended)[: len(ended)]
+    np.testing.assert_allclose(returns, [episode.sum() for episode in episodes], rtol=1e-6)
+    assert found.reader.config["config"]["own"] == {"lr": 1e-3}
+    assert not [n for n in found.reader.notices() if n["code"] != "few-rows"]
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_several_environments_give_whole_episodes(mode: AutoresetMode, tmp_path: Path):
+    own = [watched() for _ in range(3)]
+    envs = SyncVectorEnv([lambda one=one: one for one in own], autoreset_mode=mode)
+    how = {"envs": 3, "autoreset": "next-step" if mode is AutoresetMode.NEXT_STEP else "same-step"}
+    weights = np.random.default_rng(0).random(60)
+    with record("mine", env="Pendulum-v1", store=tmp_path, **how) as run:
+        obs, _ = envs.reset(seed=[1, 2, 3])
+        envs.action_space.seed(0)
+        rows = []  # as the loop has them, step by step and environment by environment
+        for _ in range(20):
+            action = envs.action_space.sample()
+            after, reward, terminated, truncated, infos = envs.step(action)
+            run.transitions(obs, action, reward, after, terminated, truncated, infos)
+            rows += zip(obs, action, strict=True)
+            obs = after
+        run.weights(60, weights)
+    table = loaded(run).transitions
+    ends = np.flatnonzero(table["terminated"] | table["truncated"])
+    episodes = np.split(np.arange(len(table)), ends + 1)[:-1]
+    assert len(table) == sum(len(one.steps) for one in own)
+    for one in own:  # each episode, wherever it stands
+        lasts = [i for i, step in enumerate(one.steps) if step[5]]
+        cuts = np.split(np.arange(len(one.steps)), [i + 1 for i in lasts])
+        for rows_of in filter(len, cuts):
+            steps = [one.steps[i] for i in rows_of]
+            steps[-1] = (*steps[-1][:5], True)  # what was not over is cut
+            matching = [
+                e for e in episodes
+                if len(e) == len(steps)
+                and np.allclose(column(table, "obs")[e[0]], steps[0][0], atol=1e-5)
+            ]  # fmt: skip
+            assert len(matching) == 1
+            same(table.iloc[matching[0]], steps)
+    # Each weight stands beside the row that it was given for.
+    kept = loaded(run).weights()["weight"].to_numpy()
+    by_row = {(*np.float32(o), *np.float32(a)): w for (o, a), w in zip(rows, weights, strict=True)}
+    given = [
+        by_row[min(by_row, key=lambda key: np.abs(np.array(key) - (*o, *a)).max())]
+        for o, a in zip(column(table, "obs"), column(table, "action"), strict=True)
+    ][: len(kept)]
+    np.testing.assert_allclose(kept, np.array(given) / np.mean(given), rtol=1e-5)
+
+
+def test_weights_metrics_and_replays_come_back(tmp_path: Path):
+    one, given = watched("Hopper-v5"), np.arange(30.0)
+    with record("mine", env="Hopper-v5", store=tmp_path) as run:
+        played(run, one, 40)
+        run.weights(40, given)  # a buffer that has dropped the oldest ten
+        run.metrics(40, {"eval/return": 812.0, "my/loss": np.float32(0.5)})
+        qpos, qvel = np.random.default_rng(0).random((2, 4, 6))
+        run.episode(40, (qpos, qvel), [1, 2, 3])
+        run.episode(40, qvel[:, :1].repeat(11, 1), [1.0, 2, 6])
+    found = loaded(run)
+    assert found.name == "mine"
+    assert found.reader.env == "hopper"
+    np.testing.assert_allclose(found.weights()["weight"], given / given.mean(), rtol=1e-6)
+    rows = found.rows()
+    assert rows["row"].tolist() == list(range(10, 40))
+    np.testing.assert_allclose(rows["reward"], [step[2] for step in one.steps[10:]], rtol=1e-5)
+    assert found.metrics["my/loss"].dropna().tolist() == [0.5]
+    first, second = found.reader.episodes(40)
+    np.testing.assert_allclose(first.qpos, qpos, rtol=1e-6)
+    np.testing.assert_allclose(first.obs[:, 5:], qvel, rtol=1e-6)
+    np.testing.assert_allclose(second.qpos[:, 1:], second.obs[:, :5])
+    assert found.metrics["eval/return"].dropna().tolist() == [(6 + 9) / 2]
+    assert found.summary["last_return"] == (6 + 9) / 2
+
+
+KILLED = """
+import sys
+import numpy as np
+from tom.own_loop.run import record
+run = record("mine", env="Pendulum-v1", store=sys.argv[1])
+for step in range(1, 10_001):
+    run.transitions([step, 0, 0], [0], step, [step + 1, 0, 0], False, step % 100 == 0)
+    if step % 100 == 0:
+        run.metrics(step, {"my/step": step})
+        run.weights(step, np.arange(step) + 1)
+print("there", flush=True)
+input()
+"""
+
+
+def test_a_killed_loop_goes_on_where_it_says(tmp_path: Path):
+    child = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(tmp_path)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=Path(tom.__file__).parents[1],
+    )  # fmt: skip
+    assert child.stdout is not None
+    assert child.stdout.readline() == b"there\n"
+    os.kill(child.pid, signal.SIGKILL)
+    child.communicate()
+    with pytest.raises(UserError):
+        record("mine", env="Pendulum-v1", store=tmp_path)
+    with record("mine", env="Pendulum-v1", store=tmp_path, resume="auto", step=5050) as run:
+        assert run.step == 5050
+        for step in range(5051, 6001):
+            run.transitions([-step, 0, 0], [0], -step, [-step - 1, 0, 0], False, step % 100 == 0)
+        run.weights(6000, np.ones(6000))
+    found = loaded(run)
+    reward = np.arange(1, 6001.0)
+    reward[5050:] *= -1
+    np.testing.assert_array_equal(found.transitions["reward"], reward)
+    ends = np.flatnonzero(found.transitions["truncated"]) + 1
+    assert ends.tolist() == sorted([*range(100, 6001, 100), 5050])
+    assert found.metrics["my/step"].dropna().index.tolist() == list(range(100, 5001, 100))
+    assert found.reader.snapshot_steps()[-1] == 6000
+    assert found.summary["state"] == "finished"
+
+
+BAD = {
+    "transitions": [
+        ([0, 0], [0], 0, [0, 0, 0], False, False),
+        ([0, 0, 0], [0], [0, 1], [0, 0, 0], False, False),
+        ([[0, 0, 0]] * 2, [[0]] * 2, [0, np.nan], [[0, 0, 0]] * 2, [0, 0], [0, 0]),
+        (["a", 0, 0], [0], 0, [0, 0, 0], False, False),
+    ],
+    "weights": [(10, np.ones(11)), (10, [-1.0] + [1] * 9), (10, np.zeros(10)), (10, np.inf)],
+    "metrics": [(9, {"a": 1}), (10, {"a": "b"}), (-1, {"a": 1}), (10.5, {"a": 1})],
+    "episode": [(10, np.zeros((3, 3)), [1.0]), (10, (np.zeros((2, 1)),) * 2, [1.0])],
+    "evaluate": [(10,)],
+    "policy": [(10, 3), (10, lambda obs: obs)],
+}
+
+
+@pytest.mark.parametrize(("what", "given"), [(w, g) for w, all_ in BAD.items() for g in all_])
+def test_what_does_not_fit_is_left_out_in_one_line(what: str, given: tuple, tmp_path: Path):
+    for strict in (False, True):
+        name = f"strict-{strict}"
+        with record(name, env="Pendulum-v1", store=tmp_path, strict=strict) as run:
+            for step in range(10):
+                run.transitions([step, 0, 0], [0], 0, [step + 1, 0, 0], False, False)
+            run.metrics(10, {"a": 1})
+            if strict:
+                with pytest.raises(UserError) as error:
+                    getattr(run, what)(*given)
+                assert "\n" not in str(error.value)
+            else:
+                with pytest.warns(UserWarning, match="not recorded"):
+                    getattr(run, what)(*given)
+            run.transitions([10, 0, 0], [0], 0, [11, 0, 0], False, False)
+        found = loaded(run)
+        assert len(found.transitions) == 11
+        assert found.metrics["a"].tolist() == [1]
+        assert not found.reader.snapshot_steps()
+        assert not found.reader.evaluation_steps()
+        assert not found.reader.problems
+        assert strict or "not-recorded" in {n["code"] for n in found.reader.notices()}
+
+
+def test_a_full_disk_ends_the_record_and_not_the_loop(tmp_path: Path, monkeypatch):
+    run = record("mine", env="Pendulum-v1", store=tmp_path)
+    run.transitions([0, 0, 0], [0], 0, [1, 0, 0], False, False)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.warns(UserWarning, match="No space left"):
+        run.weights(1, [1.0])
+    monkeypatch.undo()
+    with warnings.catch_warnings(action="error"):
+        run.transitions([1, 0, 0], [0], 0, [2, 0, 0], False, False)
+        run.close()
+    assert loaded(run).summary["state"] == "failed"
+    assert not list(run.path.rglob(".*.tmp"))
+    with record("mine", env="Pendulum-v1", store=tmp_path, resume="auto") as run:
+        run.transitions([1, 0, 0], [0], 0, [2, 0, 0], False, False)
+    assert loaded(run).summary["state"] == "finished"
+    assert files.size_of(run.path) > 0
+
+
+def gaussian(obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    mean = obs[:, :1] - 0.3 * obs[:, 1:2]
+    return mean, torch.full_like(mean, -1.0)
+
+
+def in_units(obs: np.ndarray) -> np.ndarray:
+    """Deterministic, in the task's own units, which are twice the agents'."""
+    return 2 * np.tanh(obs[:, :1] - 0.3 * obs[:, 1:2])
+
+
+class Module(torch.nn.Module):
+    def forward(self, obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return gaussian(obs)
+
+
+@pytest.mark.parametrize("policy", [in_units, Module(), lambda obs: gaussian(torch.tensor(obs))])
+def test_any_policy_is_kept_as_a_network_that_answers_like_it(policy, tmp_path: Path):
+    rng = np.random.default_rng(0)
+    angle = rng.uniform(-np.pi, np.pi, 1000)
+    obs = np.stack((np.cos(angle), np.sin(angle), rng.uniform(-8, 8, 1000)), 1)
+    with record("mine", env="Pendulum-v1", store=tmp_path) as run:
+        run.transitions(obs, np.zeros((1000, 1)), angle, obs, [False] * 1000, [True] * 1000)
+        run.policy(1000, policy)
+        run.weights(1000, np.ones(1000))
+    own, action = obs, in_units(obs) / 2
+    kept = read_policy(run.path / "policy.npz")
+    seen = torch.from_numpy((own / [1, 1, 8]).astype(np.float32))
+    assert np.abs(kept.mean(seen).numpy() - action).mean() < 0.05
+    error = loaded(run).metrics["policy/copy_error"].dropna().tolist()[0]
+    assert error < 0.1
+    distance = loaded(run).rows()["policy_distance"]
+    np.testing.assert_allclose(distance, np.abs(action[:, 0]), atol=0.25)

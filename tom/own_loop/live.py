@@ -1,0 +1,237 @@
+"""`tom.weigh_live`: learners' weights of a growing buffer, in a process of its own.
+
+    python -m tom.own_loop.live STORE RUN --learner tom pmac --every 5000
+
+It reads the run folder and never touches the training. Each learner's weights are a run of their
+own, `RUN-LEARNER`, with the same rows (hard links, no second copy), so that all pages show them.
+"""
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from tom import plugins
+from tom.config import ModelConfig, OwnLoopConfig
+from tom.data.datasets import initial_obs
+from tom.data.transitions import TensorTransitions
+from tom.data.unpack import read_arrays
+from tom.envs import bring
+from tom.errors import OwnCodeError, TryLaterError, UserError, reason, unknown
+from tom.events import Event, Metrics, Notice, Tick
+from tom.exams.diagnostics import ending_metrics, weight_metrics
+from tom.exams.exam import Exam, Fitted, footprint_metrics
+from tom.learners import LEARNERS, make_learner, with_own_settings
+from tom.learners.base import FitContext
+from tom.machine.processes import Process, on_stopping, start
+from tom.own_loop.run import OwnRun, opened
+from tom.policy.stored import StoredPolicy
+from tom.record import RunReader, Store, layout, lock
+from tom.record.files import modified, temp_path
+from tom.rng import Streams
+from tom.training import presets
+
+POLL_S = 0.5
+NICE = 19
+POLICY_ROWS = 1000
+"""the newest rows, which stand for the policy"""
+
+
+class LiveWeighing:
+    """The process that weighs a run's buffer; it ends by itself when the run does."""
+
+    def __init__(self, process: Process, log: Path) -> None:
+        self._process, self._log = process, log
+
+    def failed(self) -> str:
+        """Why it failed; empty as long as it has not."""
+        if not self._process.poll():
+            return ""
+        lines = self._log.read_text().strip().splitlines() or ["no reason given"]
+        return f"{lines[-1]} (all of it: {self._log})"
+
+    def wait(self, timeout: float | None = None) -> None:
+        """Wait for its end, after the run's. Raises UserError if it failed."""
+        self._process.wait(timeout)
+        if why := self.failed():
+            raise UserError(f"the live weighing failed: {why}")
+
+
+def weigh_live(
+    run: OwnRun, learners: Sequence[str] = ("tom", "pmac"), every: int = 5000
+) -> LiveWeighing:
+    """Weigh the newest buffer by the newest policy of `run.policy` every `every` rows.
+
+    At the lowest priority, in a process of its own. If it falls behind it skips, with a notice.
+    Raises UserError for an unknown learner.
+    """
+    for name in learners:
+        if name not in LEARNERS:
+            raise unknown("learner", name, LEARNERS)
+    log = run.store.path / layout.LOGS / f"{run.name}-live.log"
+    log.parent.mkdir(exist_ok=True)
+    command = [sys.executable, "-m", "tom.own_loop.live", str(run.store.path), run.name]
+    command += ["--every", str(every), "--learner", *learners]
+    with log.open("wb") as out:
+        process = start(command, out, {**os.environ, "OMP_NUM_THREADS": "1"}, outlives=True)
+    live = LiveWeighing(process, log)
+    run.live.append(live.failed)
+    return live
+
+
+class _Live:
+    """One learner's weights of the run `source`: its record, and what it keeps between fits."""
+
+    def __init__(self, store: Store, source: RunReader, learner: str, every: int) -> None:
+        usual = presets.resolve(source.env, learner)
+        groups = {
+            name: value
+            for name, value in usual.model_dump().items()
+            if name in with_own_settings(OwnLoopConfig, [learner]).model_fields
+        }
+        settings: dict[str, Any] = {"seed": source.seed, "own": {}, "of": source.run_id}
+        settings |= {"every": every, "steps": source.config["config"]["steps"]}
+        self.config = with_own_settings(OwnLoopConfig, [learner]).model_validate(groups | settings)
+        self.name = f"{source.run_id}-{learner}"
+        rows = source.buffer_length()
+        self.recorder, self._writer, _ = opened(
+            store, self.name, self.config, resume="auto", step=rows
+        )
+        self.path, self._rows = self._writer.path, 0
+        self.streams = Streams(source.seed)
+        self._fitted: Fitted | None = None
+        self._learner: Any = None
+
+    def adopt(self, source: RunReader) -> None:
+        """Take over the rows of the run `source`: a link for each segment that is new here."""
+        self._writer.check()
+        for first in layout.numbers(source.path / layout.BUFFER, ".npz"):
+            name = layout.segment(first)
+            if modified(self.path / name) != modified(source.path / name):
+                linked = temp_path(self.path / name)
+                linked.hardlink_to(source.path / name)
+                linked.replace(self.path / name)
+
+    def weigh(self, policy: dict[str, Any]) -> int:
+        """Record the exam of the last fit and the weights of the buffer; the number of its rows."""
+        rows, version = RunReader(self.path).buffer()
+        replay, n = rows.torch(), len(rows)
+        if self._fitted is not None:
+            self._examine(self._fitted, replay)
+        stored = StoredPolicy(policy)
+        if self._learner is None:
+            dims = replay.obs.shape[1], replay.action.shape[1]
+            generator = self.streams.torch("learner")
+            self._learner = make_learner(self.config.learner, self.config, *dims, generator)
+        newest = torch.from_numpy(np.sort(np.argsort(version)[-POLICY_ROWS:]))
+        context = FitContext(
+            replay=replay,
+            policy_version=torch.from_numpy(version),
+            policy_buffer=replay[newest],
+            on_policy_steps=n,
+            initial_obs=torch.as_tensor(initial_obs(rows)),
+            policy=stored,
+            generator=self.streams.torch("weigh"),
+            value_gradient=stored.value_gradient,
+        )
+        weighting = self._learner.weigh(context)
+        self._fitted = Fitted(n, weighting.counted(ModelConfig()))
+        shape = weight_metrics(weighting.weights)
+        shape |= ending_metrics(replay, context.policy_buffer, weighting.weights)
+        events: list[Event] = [weighting.event(n, policy)]
+        events.append(Metrics(n, {**weighting.metrics, **shape, "buffer/size": float(n)}))
+        events += [Notice(n, code, text) for code, text in weighting.notices]
+        for event in (*events, Tick(n, "weigh")):
+            self.recorder.consume(event)
+        self._rows = n
+        return n
+
+    def _examine(self, fitted: Fitted, replay: TensorTransitions) -> None:
+        new = len(replay) - fitted.env_step
+        if new > 0:
+            exam = Exam.of(fitted, replay, new)
+            metrics = footprint_metrics(exam, self.streams.torch("exam"))
+            self.recorder.consume(Metrics(fitted.env_step, metrics))
+
+
+def follow(store: Store, name: str, learners: Sequence[str], every: int) -> None:
+    """Weigh the buffer of the run `name` until the run ends, and once more then."""
+    source = store.run(name)
+    with ExitStack() as stack:
+        lives = [_Live(store, source, learner, every) for learner in learners]
+        for live in lives:
+            stack.enter_context(live.recorder)
+        last, took = 0, 0.0
+        while True:
+            source = RunReader(source.path)
+            running = source.status.state == "running" and lock.held(source.path)
+            rows, steps = source.buffer_length(), source.policy_steps()
+            due = rows - last >= every if running else rows > last
+            if due and steps:
+                skipped = (rows - last) // every - 1 if last else 0
+                if skipped > 0:
+                    text = (
+                        f"{skipped} weighings were skipped: one takes {took:.0f} s here, in which "
+                        f"the loop takes more than {every} steps; weigh less often"
+                    )
+                    for live in lives:
+                        live.recorder.consume(Notice(rows, "behind", text))
+                begun = time.monotonic()
+                last = _weigh(lives, source, steps[-1])
+                took = time.monotonic() - begun
+            if not running:
+                if (state := source.status.state) != "finished":
+                    for live in lives:
+                        live.recorder.finish("stopped", f"run {name} ended as {state}")
+                return
+            time.sleep(POLL_S)
+
+
+def _weigh(lives: Sequence[_Live], source: RunReader, step: int) -> int:
+    """Every learner's weights of the same rows, by the policy of that step."""
+    policy = read_arrays(source.path / layout.policy(step))
+    rows = 0
+    for place, live in enumerate(lives):
+        live.adopt(source if place == 0 else RunReader(lives[0].path))
+        rows = live.weigh(policy)
+    return rows
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the process; returns its exit code."""
+    parser = argparse.ArgumentParser(prog="python -m tom.own_loop.live")
+    parser.add_argument("store", type=Path)
+    parser.add_argument("run")
+    parser.add_argument("--learner", nargs="+", required=True)
+    parser.add_argument("--every", type=int, required=True)
+    args = parser.parse_args(arguments)
+    with suppress(OSError):
+        os.nice(NICE)
+    torch.set_num_threads(1)
+    try:
+        plugins.load([])
+        store = Store(args.store)
+        bring(store.run(args.run).env)
+        with on_stopping(_interrupt):
+            follow(store, args.run, args.learner, args.every)
+    except (UserError, OwnCodeError, TryLaterError, OSError) as error:
+        print(reason(error), file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 1
+    return 0
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,198 @@
+"""A policy of the user's as the arrays that runs keep (`tom.policy.stored`).
+
+SAC, TD3 and DDPG of stable-baselines3 with ReLU networks are taken over as they are, SAC and TD3
+with their critics. Any other policy is asked on recorded observations, and a network of the stored
+form learns its answers.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn.functional import relu
+
+from tom.analysis.ordered_data import action_bounds
+from tom.envs import GymnasiumTask, Task
+from tom.errors import UserError
+from tom.nn.mlp import StackedMLP
+from tom.policy.foreign import ForeignPolicy
+from tom.policy.stored import CRITIC
+
+HIDDEN, LR, BATCH = 64, 3e-3, 256
+STEPS, STEPS_AGAIN = 600, 150
+"""of a copy's training: the first time, and when it goes on from the last copy"""
+ASKED, DRAWS = 2000, 8
+"""observations that a policy is asked about, and actions for each"""
+NARROW = -20.0
+"""log standard deviation of a policy without spread"""
+
+Layers = list[tuple[NDArray[np.float64], NDArray[np.float64]]]
+"""weight (in, out) and bias (out,) of each layer, ReLU between them"""
+
+
+class Copy(NamedTuple):
+    """The stored arrays, and how far a learnt copy is from the policy's answers (None: exact)."""
+
+    arrays: dict[str, NDArray]
+    error: float | None
+
+
+class PolicyCopier:
+    """Makes stored copies of one training's policies."""
+
+    def __init__(self, known: Task) -> None:
+        self._known = known
+        unit = isinstance(known, GymnasiumTask)
+        self._scale = np.array(known.obs_scale) if unit else np.ones(known.obs_dim)
+        self._offset = np.array(known.obs_offset) if unit else np.zeros(known.obs_dim)
+        self._net: StackedMLP | None = None
+
+    def copy(self, policy: Any, obs: NDArray) -> Copy:
+        """The policy, asked about obs (N, O) as agents see them where it has to be learnt.
+
+        It is a model of stable-baselines3, a torch module or a function of observations (B, O) in
+        the task's own units, which answers as `tom.policy.foreign` says. Raises UserError.
+        """
+        exact = _networks(policy)
+        if exact is None:
+            return self._learnt(policy, obs)
+        actor, critics, centre, spread = exact
+        scale, offset = self._scale / spread, (self._offset - centre) / spread
+        arrays = _arrays(self._known, _moved(actor, scale, offset))
+        self._check(actor[0][0].shape[0], actor[-1][0].shape[1])
+        if len(critics) >= 2:
+            twins = [_moved(critic, scale, offset) for critic in critics[:2]]
+            for k, pair in enumerate(zip(*twins, strict=True)):
+                for part, values in zip(("weight", "bias"), zip(*pair, strict=True), strict=True):
+                    arrays[f"{CRITIC}{part}_{k}"] = np.stack(values).astype(np.float32)
+        return Copy(arrays, None)
+
+    def _check(self, obs_dim: int, outputs: int) -> None:
+        if (obs_dim, outputs) != (self._known.obs_dim, 2 * self._known.action_dim):
+            raise UserError(
+                f"policy: its network maps {obs_dim} numbers to {outputs // 2} actions, and "
+                f"{self._known.name} has {self._known.obs_dim} and {self._known.action_dim}"
+            )
+
+    def _learnt(self, policy: Any, obs: NDArray) -> Copy:
+        """A network that has learnt the policy's mean and spread before the tanh."""
+        if not len(obs):
+            raise UserError("policy: hand in some transitions first, to ask it about")
+        ask = _asked(policy, lambda x: self._offset + x * self._scale)
+        foreign = ForeignPolicy(
+            "of run.policy", ask, self._known.obs_dim, action_bounds(self._known)
+        )
+        seen = torch.from_numpy(obs[:: max(len(obs) // ASKED, 1)]).float()
+        generator = torch.Generator().manual_seed(0)
+        drawn = torch.atanh(foreign(seen, DRAWS, generator).clamp(-0.999, 0.999))
+        mean, log_std = drawn.mean(0), drawn.std(0).clamp(min=1e-3).log()
+        spread, centre = torch.std_mean(seen, 0, correction=0)
+        spread = spread.clamp(min=1e-6)
+        steps = STEPS if self._net is None else STEPS_AGAIN
+        if self._net is None:
+            sizes = [seen.shape[1], HIDDEN, HIDDEN, 2 * mean.shape[1]]
+            self._net = StackedMLP(1, sizes, relu, generator)
+        x, optimiser = (seen - centre) / spread, torch.optim.Adam(self._net.parameters(), LR)
+        with torch.enable_grad():
+            for _ in range(steps):
+                rows = torch.randint(len(x), (BATCH,), generator=generator)
+                own_mean, own_log_std = self._net(x[rows][None])[0].chunk(2, -1)
+                near = (own_mean.tanh() - mean[rows].tanh()).square().mean()
+                far = (own_mean - mean[rows]).square().mean()
+                wide = (own_log_std - log_std[rows]).square().mean()
+                optimiser.zero_grad()
+                (near + 0.01 * far + 0.1 * wide).backward()
+                optimiser.step()
+        with torch.no_grad():
+            off = self._net(x[None])[0].chunk(2, -1)[0].tanh() - mean.tanh()
+        layers = [(_numbers(w[0]), _numbers(b[0, 0])) for w, b in self._net.layers]
+        scale, offset = 1 / _numbers(spread), -_numbers(centre / spread)
+        arrays = _arrays(self._known, _moved(layers, scale, offset))
+        return Copy(arrays, float(off.square().mean().sqrt()))
+
+
+def _arrays(known: Task, actor: Layers) -> dict[str, NDArray]:
+    arrays: dict[str, NDArray] = {"env": np.array(known.name)}
+    for k, (weight, bias) in enumerate(actor):
+        arrays |= {f"weight_{k}": weight.astype(np.float32), f"bias_{k}": bias.astype(np.float32)}
+    return arrays
+
+
+def _moved(layers: Layers, scale: NDArray, offset: NDArray) -> Layers:
+    """The layers for inputs x whose first dimensions are what was `offset + scale * x` before."""
+    weight, bias = layers[0]
+    first, n = weight.copy(), len(scale)
+    first[:n] *= scale[:, None]
+    return [(first, bias + offset @ weight[:n]), *layers[1:]]
+
+
+def _asked(policy: Any, own_units: Callable[[NDArray], NDArray]) -> Callable[[Tensor], Any]:
+    if isinstance(policy, nn.Module):
+        parameter = next(policy.parameters(), torch.zeros(0))
+
+        def ask(obs: Tensor) -> Any:
+            return policy(torch.from_numpy(own_units(obs.numpy())).to(parameter))
+
+        return ask
+    predict = getattr(policy, "predict", None)
+    if not callable(policy) and predict is None:
+        raise UserError("policy: give a function of observations, a torch module or SB3's model")
+    function = policy if predict is None else lambda obs: predict(obs, deterministic=False)[0]
+    return lambda obs: function(own_units(obs.numpy()).astype(np.float32))
+
+
+class _Networks(NamedTuple):
+    """A policy's own networks; `centre` and `spread` (O,) are what normalises its observations."""
+
+    actor: Layers
+    critics: list[Layers]
+    centre: NDArray | float = 0.0
+    spread: NDArray | float = 1.0
+
+
+def _networks(model: Any) -> _Networks | None:
+    """The networks of an off-policy model of stable-baselines3; None if they have another form."""
+    actor = getattr(model, "actor", None)
+    if actor is None or not hasattr(model, "get_vec_normalize_env") or not hasattr(actor, "mu"):
+        return None
+    if isinstance(actor.mu, nn.Linear):  # SAC
+        body = _layers([*getattr(actor, "latent_pi", ())])
+        heads = [
+            _layers([head]) for head in (actor.mu, actor.log_std) if isinstance(head, nn.Linear)
+        ]
+        if body is None or len(heads) != 2 or getattr(actor, "use_sde", False):
+            return None
+        (mean, mean_bias), (std, std_bias) = (head[0] for head in heads if head)
+        layers = [*body, (np.hstack((mean, std)), np.hstack((mean_bias, std_bias)))]
+    else:  # TD3, DDPG: the last module is the tanh
+        found = _layers([*actor.mu][:-1]) if isinstance([*actor.mu][-1], nn.Tanh) else None
+        if found is None:
+            return None
+        weight, bias = found[-1]
+        last = (
+            np.hstack((weight, np.zeros_like(weight))),
+            np.append(bias, np.full(len(bias), NARROW)),
+        )
+        layers = [*found[:-1], last]
+    critics = [_layers([*net]) for net in getattr(model.critic, "q_networks", ())]
+    own = _Networks(layers, [critic for critic in critics if critic])
+    normalised = model.get_vec_normalize_env()
+    if normalised is None or not normalised.norm_obs:
+        return own
+    moments = normalised.obs_rms
+    return own._replace(centre=moments.mean, spread=np.sqrt(moments.var + normalised.epsilon))
+
+
+def _layers(modules: Sequence[nn.Module]) -> Layers | None:
+    """The linear layers of a ReLU network; None if it has anything else."""
+    linear = [module for module in modules if isinstance(module, nn.Linear)]
+    if len(linear) + sum(isinstance(module, nn.ReLU) for module in modules) != len(modules):
+        return None
+    return [(_numbers(m.weight).T.copy(), _numbers(m.bias)) for m in linear]
+
+
+def _numbers(tensor: Tensor) -> NDArray[np.float64]:
+    return tensor.detach().cpu().double().numpy()

@@ -1,0 +1,83 @@
+"""Goes on with the record of a loop of the user's own: cuts it back to the step of the new start.
+
+Unlike our trainings such a loop has no checkpoint here, so its record is cut by what it says.
+"""
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from tom.data.transitions import Transitions
+from tom.data.unpack import read_arrays
+from tom.record import decode, layout
+from tom.record.files import parse_json_line
+from tom.record.reader import RunReader
+from tom.record.writer import RunWriter
+
+
+def cut_back(writer: RunWriter, step: int | None = None) -> dict[str, Any]:
+    """Remove what was recorded after `step` (None: nothing); returns the mark for a `Recorder`.
+
+    Of the buffer that is the rows handed in as a later one than number `step`. Episodes that were
+    not over are cut: their last row is truncated.
+    """
+    reader, last = RunReader(writer.path), np.inf if step is None else step
+    lines = [_bytes_up_to(reader, name, last) for name in (layout.METRICS, layout.PROFILES)]
+    for steps, name in (
+        (reader.snapshot_steps(), layout.snapshot),
+        (reader.policy_steps(), layout.policy),
+        (reader.evaluation_steps(), layout.episodes),
+    ):
+        for later in steps:
+            if later > last:
+                (writer.path / name(later)).unlink(missing_ok=True)
+    segment, kept = _cut_buffer(writer, reader, last)
+    status, table = reader.status, reader.metric_rows()
+    walls = table["time/wall_s"].dropna() if "time/wall_s" in table else []
+    return {
+        "env_step": int(min(status.env_step, last)),
+        "wall_s": float(walls.iloc[-1]) if len(walls) else 0.0,
+        "returns": (status.last_return, status.best_return),
+        "next_snapshot": 0.0,
+        "files": {
+            "lines": [*lines, _bytes_up_to(reader, layout.NOTICES, np.inf)],
+            "segment": segment,
+            "segment_rows": kept,
+            "latest_snapshot": None,
+        },
+    }
+
+
+def _bytes_up_to(reader: RunReader, name: str, last: float) -> int:
+    """The size of the rows of a file of JSON lines before the first one of a later step."""
+    path, size = reader.path / name, 0
+    for line in path.read_bytes().splitlines(keepends=True) if path.exists() else ():
+        step = (parse_json_line(line) or {}).get("env_step", 0)
+        if step > last or not line.endswith(b"\n"):
+            break
+        size += len(line)
+    return size
+
+
+def _cut_buffer(writer: RunWriter, reader: RunReader, last: float) -> tuple[int, int]:
+    """The segment of the buffer in which the cut lies, and the rows that it has afterwards."""
+    first, rows, version = 0, [], []
+    for number in layout.numbers(reader.path / layout.BUFFER, ".npz"):
+        part, numbers = decode.transitions_of(read_arrays(reader.path / layout.segment(number)))
+        if not rows or bool((np.concatenate(version) <= last).all()):
+            first, rows, version = number, [], []
+        rows.append(part)
+        version.append(numbers)
+    if not rows:
+        return 0, 0
+    whole, numbers = Transitions.concatenate(rows), np.concatenate(version)
+    kept = np.flatnonzero(numbers <= last)
+    if not len(kept):
+        return first, 0
+    arrays = {field.name: np.asarray(getattr(whole[kept], field.name)) for field in fields(whole)}
+    follows = np.append((arrays["obs"][1:] == arrays["next_obs"][:-1]).all(1), False)
+    arrays["truncated"] = arrays["truncated"] | ~(follows | arrays["terminated"])
+    # Whole and under its name before the later segments go: a kill may come at any time.
+    writer.arrays(layout.segment(first), arrays | {"policy_version": numbers[kept]}, sync=True)
+    return first, len(kept)

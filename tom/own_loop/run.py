@@ -1,0 +1,486 @@
+"""`tom.record`: the record of a training loop of the user's own."""
+
+import atexit
+import json
+import shlex
+import sys
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import wraps
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Concatenate, Literal, ParamSpec, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from tom.analysis.ordered_data import action_bounds, card_of_run
+from tom.config import OWN_LOOP, OwnLoopConfig
+from tom.data.card import FEW_ROWS
+from tom.data.transitions import Transitions
+from tom.envs import ENVS, OTHERS, GymnasiumTask, Task, bring, task
+from tom.envs.gymnasium_task import OWN
+from tom.errors import UserError, invalid_value, reason
+from tom.events import (
+    Collected,
+    Episode,
+    Evaluation,
+    KeptPolicy,
+    Metrics,
+    Notice,
+    Tick,
+    TrainedPolicy,
+    Weights,
+)
+from tom.own_loop.policy import PolicyCopier
+from tom.own_loop.resume import cut_back
+from tom.own_loop.rows import AUTORESET, Autoreset, Rows
+from tom.policy.collect import Evaluator
+from tom.policy.stored import StoredPolicy
+from tom.record import RunReader, Store
+from tom.record.files import plain
+from tom.record.manage import rename
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter, TakenError
+
+FLUSH_S = 1.0
+"""seconds after which rows are written although they are few"""
+COPY_ERROR = 0.1
+"""root mean square, of actions in [-1, 1], from which on a learnt copy of a policy is not told as
+the policy"""
+
+Arrays = dict[str, NDArray]
+P = ParamSpec("P")
+
+
+def record(
+    name: str,
+    *,
+    env: str,
+    store: str | Path = "runs",
+    config: Mapping[str, Any] | None = None,
+    steps: int = 1_000_000,
+    seed: int = 0,
+    envs: int = 1,
+    autoreset: Autoreset | None = None,
+    resume: Literal["auto"] | None = None,
+    step: int | None = None,
+    strict: bool = False,
+) -> "OwnRun":
+    """Record a training loop of your own in the run folder `store`/`name`.
+
+    `env` is a task of Gymnasium (`Hopper-v5`, `module:Id-v0`) or of `tom train`; `config` are your
+    settings, by which runs are told apart; `steps` are planned. With `envs` above 1 the leading
+    axis of all rows is that of the environments; `autoreset` is their mode, None if next_obs is
+    always the step's own. With `resume="auto"` a run of that name goes on: at `step`, if it is
+    given, after which everything is cut off. Raises UserError. Later errors are warnings, and the
+    loop goes on, unless it is `strict`.
+    """
+    known, place = _known(env), Store(Path(store))
+    if envs < 1 or autoreset not in (None, *AUTORESET) or resume not in (None, "auto"):
+        raise UserError(
+            f"envs {envs}, autoreset {autoreset}, resume {resume}: envs is at least 1, autoreset "
+            f"is one of {', '.join(AUTORESET)} or None, resume is 'auto' or None"
+        )
+    given = json.loads(json.dumps(plain(config or {}), default=str))
+    try:
+        settings = OwnLoopConfig(
+            env=known.name, learner=OWN_LOOP, steps=steps, seed=seed, own=given
+        )
+    except ValidationError as error:
+        raise UserError(invalid_value(error)) from None
+    recorder, writer, handed = opened(place, name, settings, resume=resume, step=step)
+    return OwnRun(place, writer, recorder, known, envs, autoreset, handed, strict)
+
+
+def opened(
+    store: Store,
+    name: str,
+    settings: OwnLoopConfig,
+    *,
+    resume: Literal["auto"] | None,
+    step: int | None = None,
+) -> tuple[Recorder, RunWriter, int]:
+    """The recorder and writer of a new run, or of one that goes on at `step`; its rows so far."""
+    path, command = store.resolve(name), shlex.join(sys.argv)
+    if not (resume and path.exists()):
+        try:
+            writer = RunWriter.create(store, name, settings, command=command)
+        except TakenError as error:
+            raise TakenError(f'{error}, or go on with it: resume="auto"') from None
+        rename(store, name, name)
+        return Recorder(writer), writer, 0
+    run = store.run(name)
+    same = {"env": settings.env, "learner": settings.learner}
+    if not run.own_loop or any(run.config.get(part) != value for part, value in same.items()):
+        raise UserError(f"run '{name}' is of {run.env} and {run.learner}: choose another name")
+    writer = RunWriter(path, settings)
+    try:
+        mark = cut_back(writer, step)
+        writer.resumed(settings, command)
+    except BaseException:
+        writer.close()
+        raise
+    numbers = RunReader(path).buffer()[1]
+    handed = int(numbers.max(initial=0)) if step is None else step
+    return Recorder(writer, mark=mark), writer, handed
+
+
+def _known(env: str) -> Task:
+    """The task called `env`, ours if it is Gymnasium's under another name. Raises UserError."""
+    ours = {one.gym_id: one.name for one in ENVS.values() if not one.kwargs}
+    name = ours.get(env, env)
+    if name not in (*ENVS, *OTHERS) and ":" not in name:
+        name = f"{OWN}:{name}"
+    bring(name)
+    return task(name)
+
+
+def _guarded(
+    method: Callable[Concatenate["OwnRun", P], None],
+) -> Callable[Concatenate["OwnRun", P], None]:
+    """The method, after whose errors the loop goes on (`strict`: they are raised)."""
+
+    @wraps(method)
+    def guarded(self: "OwnRun", *args: P.args, **kwargs: P.kwargs) -> None:
+        if self.closed:
+            return
+        try:
+            method(self, *args, **kwargs)
+        except UserError as error:
+            self.refuse(error)
+        except OSError as error:
+            self.give_up(error)
+
+    return guarded
+
+
+class OwnRun:
+    """The record of a loop: what `tom.record` returns. A context manager; else call `close`.
+
+    As a context manager it ends as `stopped` after Ctrl-C, as `failed` after another exception.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        writer: RunWriter,
+        recorder: Recorder,
+        known: Task,
+        envs: int,
+        autoreset: Autoreset | None,
+        handed: int,
+        strict: bool,
+    ) -> None:
+        self.store, self.name, self.path = store, writer.run_id, writer.path
+        self.known, self.closed = known, False
+        self._low, self._high = (bound.astype(np.float64) for bound in action_bounds(known))
+        self._recorder, self._strict = recorder, strict
+        self._rows = Rows(known.obs_dim, known.action_dim, self._write, envs, autoreset, handed)
+        self._numbers: list[NDArray[np.int64]] | None = None
+        if envs > 1 or autoreset:
+            self._numbers = [RunReader(writer.path).buffer()[1]]
+        self._recorded = RunReader(writer.path).buffer_length()
+        self._step = 0  # the last that the caller named
+        self._flushed = time.monotonic()
+        self._policy: tuple[int, Arrays] | None = None
+        self._copier = PolicyCopier(known)
+        self._evaluator: Evaluator | None = None
+        self._episodes: tuple[int, list[Episode]] = (-1, [])
+        self._newest: Transitions | None = None  # the last block of rows
+        self._next_card, self._given = FEW_ROWS, set[str]()
+        self.live: list[Callable[[], str]] = []
+        """give the reason of a live weighing that failed, else nothing"""
+        self._live: tuple[str, int, NDArray[np.float32]] | None = None
+        for code, text in known.notices:
+            self._notice(code, text)
+        atexit.register(self._at_exit)
+
+    @property
+    def step(self) -> int:
+        """The number of steps handed in, of all environments together."""
+        return self._rows.handed
+
+    # What a loop hands in
+
+    @_guarded
+    def transitions(
+        self,
+        obs: Any,
+        action: Any,
+        reward: Any,
+        next_obs: Any,
+        terminated: Any,
+        truncated: Any,
+        infos: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Append one step or many, in the task's own units.
+
+        obs, next_obs (..., O), action (..., A), the others (...). Leading axes: none or (T,); with
+        several environments (E,) or (T, E). `infos` are the vector environment's, whose `final_obs`
+        counts with same-step autoreset.
+        """
+        for ended in self._rows.add(obs, action, reward, next_obs, terminated, truncated, infos):
+            values = {"train/return": ended.total, "train/length": float(ended.length)}
+            self._recorder.consume(Metrics(ended.at, values))
+        if time.monotonic() - self._flushed > FLUSH_S:
+            self._rows.flush()
+            self._flushed = time.monotonic()
+            self._recorder.consume(Tick(max(self.step, self._step), "collect"))
+
+    @_guarded
+    def metrics(self, step: int, values: Mapping[str, Any]) -> None:
+        """Record numbers by name at env step `step`; steps never go back."""
+        numbers = {}
+        for name, value in values.items():
+            try:
+                numbers[str(name)] = float(value)
+            except (TypeError, ValueError):
+                raise UserError(f"metrics: {name} is {value!r}, not a number") from None
+        self._recorder.consume(Metrics(self._at("metrics", step), numbers))
+
+    @_guarded
+    def weights(self, step: int, weights: Any) -> None:
+        """Record the weights (N,) of the newest N rows handed in, oldest first; they get mean 1.
+
+        Non-negative numbers of any kind: priorities, recency, a loss.
+        """
+        given = np.asarray(weights, np.float64)
+        n, handed = len(given) if given.ndim else 0, self.step
+        if given.ndim != 1 or not 0 < n <= handed:
+            raise UserError(
+                f"weights: shape {given.shape} for {handed} rows handed in: one for each of the "
+                "newest N rows"
+            )
+        if not np.isfinite(given).all() or (given < 0).any() or not given.any():
+            raise UserError("weights: they must be finite, non-negative and not all zero")
+        at = self._at("weights", step)
+        self._rows.flush()
+        kept = self._in_record(given, handed - n)
+        if not kept.any():
+            raise UserError("weights: none of the recorded rows has any weight yet")
+        policy = self._policy[1] if self._policy and self._policy[0] == at else None
+        weight = (kept / kept.mean()).astype(np.float32)
+        self._recorder.consume(Weights(at, weight, policy=policy, rows=self._recorded))
+
+    @_guarded
+    def policy(self, step: int, policy: Any) -> None:
+        """Keep the policy of env step `step`: SB3's model, a torch module or a function.
+
+        `tom.own_loop.policy` says what it may answer, and what becomes of it.
+        """
+        at = self._at("policy", step)
+        self._rows.flush()
+        rows = self._newest
+        obs = np.zeros((0, self.known.obs_dim)) if rows is None else np.asarray(rows.obs)
+        copied = self._copier.copy(policy, obs)
+        self._policy = at, copied.arrays
+        self._recorder.consume(KeptPolicy(at, copied.arrays))
+        if copied.error is not None:
+            self._recorder.consume(Metrics(at, {"policy/copy_error": copied.error}))
+            if copied.error > COPY_ERROR:
+                self._notice(
+                    "policy-copy",
+                    f"the kept copy of the policy differs from its answers by {copied.error:.2f} "
+                    "of actions in [-1, 1]: what is measured with it is of the copy",
+                )
+
+    @_guarded
+    def episode(
+        self,
+        step: int,
+        states: Any,
+        rewards: Any,
+        actions: Any = None,
+        *,
+        terminated: bool = False,
+        truncated: bool = False,
+    ) -> None:
+        """Record an evaluation's episode of H steps at env step `step`, to be replayed.
+
+        `states` are observations (H + 1, O), or `(qpos, qvel)`, (H + 1, nq) and (H + 1, nv);
+        rewards (H,), actions (H, A), all in the task's own units.
+        """
+        reward = np.asarray(rewards, np.float32)
+        h, known = len(reward), self.known
+        shapes = {"rewards": (reward, (h,))}
+        if isinstance(states, tuple):
+            qpos, qvel = (np.asarray(part, np.float32) for part in states)
+            shapes |= {"qpos": (qpos, (h + 1, known.nq)), "qvel": (qvel, (h + 1, *qvel.shape[1:]))}
+            left_out = known.root_dims or 0
+            obs = np.concatenate((qpos[..., left_out:], qvel), -1)
+        else:
+            obs, qpos, qvel = self._unit_obs(np.asarray(states, np.float64)), None, None
+            shapes["states"] = obs, (h + 1, known.obs_dim)
+            if known.root_dims is not None and obs.shape == shapes["states"][1]:
+                qpos, qvel = known.qpos_from_obs(obs), obs[:, known.nq - known.root_dims :]
+        action = np.full((h, known.action_dim), np.nan, np.float32)
+        if actions is not None:
+            action = self._unit_action(np.asarray(actions, np.float64))
+            shapes["actions"] = action, (h, known.action_dim)
+        for name, (array, shape) in shapes.items():
+            if array.shape != shape or not h:
+                raise UserError(f"episode: {name} has shape {array.shape}, not {shape}")
+        episode = Episode(reward, action, obs, qpos, qvel, terminated, truncated)
+        self._evaluated(self._at("episode", step), [episode])
+
+    @_guarded
+    def evaluate(self, step: int, episodes: int = 3) -> None:
+        """Play episodes of the last kept policy's mean actions in an environment of its own.
+
+        They are recorded as replays, with `eval/return`. This takes the loop's time.
+        """
+        if self._policy is None:
+            raise UserError("evaluate: no policy has been kept yet: call policy before")
+        if self._evaluator is None:
+            self._evaluator = Evaluator(self.known, episodes)
+        at, policy = self._at("evaluate", step), StoredPolicy(self._policy[1])
+        self._evaluated(at, self._evaluator.run(policy.mean, at))
+
+    def latest_weights(self, learner: str = "tom") -> NDArray[np.float32]:
+        """The newest live weights (`tom.weigh_live`) of the rows handed in, oldest first: (N,).
+
+        Rows without a weight have 1, the mean: those that came later, and all before the first fit.
+        """
+        weights = np.ones(self.step, np.float32)
+        live = RunReader(self.path.with_name(f"{self.name}-{learner}"))
+        steps = live.snapshot_steps()
+        if not steps:
+            return weights
+        if self._live is None or self._live[:2] != (learner, steps[-1]):
+            self._live = learner, steps[-1], live.snapshot(steps[-1])["weight"].to_numpy(np.float32)
+        found = self._live[2]
+        numbers = (
+            np.arange(len(found)) + 1 if self._numbers is None else self._order()[: len(found)]
+        )
+        held = numbers <= len(weights)
+        weights[numbers[held] - 1] = found[: len(numbers)][held]
+        return weights
+
+    # The end
+
+    def close(self) -> None:
+        """End the record: it is finished, with the last policy that was kept."""
+        self._end()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._end(error)
+
+    def refuse(self, error: UserError) -> None:
+        """Say what was not recorded, and let the loop go on."""
+        if self._strict:
+            raise error
+        warnings.warn(f"run {self.name}: not recorded: {error}", stacklevel=4)
+        self._notice("not-recorded", str(error))
+
+    def give_up(self, error: OSError) -> None:
+        """End the record as failed; the loop goes on without one."""
+        self.closed = True
+        text = f'{reason(error)}: free some space, then start again with resume="auto"'
+        self._recorder.finish("failed", f"step {self.step}: {text}")
+        if self._strict:
+            raise error
+        warnings.warn(f"run {self.name} is recorded no further: {text}", stacklevel=4)
+
+    def _end(self, error: BaseException | None = None) -> None:
+        if self.closed:
+            return
+        self.closed = True
+        for why in filter(None, (failed() for failed in self.live)):
+            warnings.warn(f"run {self.name}: the live weighing failed: {why}", stacklevel=3)
+        atexit.unregister(self._at_exit)
+        try:
+            self._rows.close()
+            at = max(self.step, self._step)
+            self._recorder.consume(Tick(at, "collect"))
+            if error is None and self._policy:
+                self._recorder.consume(TrainedPolicy(at, self._policy[1]))
+        except OSError as full:
+            error = error or full
+        self._recorder.__exit__(type(error), error, None)
+
+    def _at_exit(self) -> None:
+        error = getattr(sys, "last_value", None)
+        self._end(error)
+
+    # Parts
+
+    def _at(self, what: str, step: int) -> int:
+        """`step`, checked. Raises UserError."""
+        if isinstance(step, bool) or not isinstance(step, int | np.integer) or step < 0:
+            raise UserError(f"{what}: step {step!r} is no whole number from 0 on")
+        if step < self._step:
+            raise UserError(
+                f"{what}: step {step} comes after step {self._step}: steps never go back"
+            )
+        self._step = int(step)
+        return self._step
+
+    def _notice(self, code: str, text: str) -> None:
+        """Record a notice, each code once."""
+        if code not in self._given:
+            self._given.add(code)
+            self._recorder.consume(Notice(max(self.step, self._step), code, text))
+
+    def _unit_obs(self, obs: NDArray) -> NDArray:
+        return self.known.unit_obs(obs) if isinstance(self.known, GymnasiumTask) else obs
+
+    def _unit_action(self, action: NDArray) -> NDArray[np.float32]:
+        low, high = self._low, self._high
+        return ((2 * action - (high + low)) / (high - low)).astype(np.float32)
+
+    def _write(self, rows: Transitions, numbers: NDArray[np.int64]) -> None:
+        """Record rows in the task's own units as agents see them."""
+        rows = replace(
+            rows,
+            obs=self._unit_obs(np.asarray(rows.obs)).astype(np.float32),
+            next_obs=self._unit_obs(np.asarray(rows.next_obs)).astype(np.float32),
+            action=self._unit_action(np.asarray(rows.action)),
+            reward=np.asarray(rows.reward, np.float32),
+            terminated=np.array(rows.terminated),
+            truncated=np.array(rows.truncated),
+        )
+        self._recorder.consume(Collected(self.step, rows, numbers))
+        self._recorded += len(rows)
+        if self._numbers is not None:
+            self._numbers.append(numbers)
+        self._newest = rows
+        if self._recorded >= self._next_card and len(rows) >= FEW_ROWS:
+            self._next_card = 2 * self._recorded
+            for code, text in card_of_run(rows, self.known).notices():
+                self._notice(code, text)
+
+    def _order(self) -> NDArray[np.int64]:
+        """The number with which each recorded row was handed in, (N,)."""
+        assert self._numbers is not None
+        self._numbers = [np.concatenate(self._numbers)]
+        return self._numbers[0]
+
+    def _in_record(self, given: NDArray[np.float64], before: int) -> NDArray[np.float64]:
+        """The weights of the newest rows of the record, up to the oldest that has one.
+
+        `given` (N,) are those of the rows handed in as numbers `before` + 1 and later. A row
+        between that the caller does not hold any more has none: zero.
+        """
+        if self._numbers is None:
+            return given[len(given) - min(len(given), self._recorded) :]
+        place = self._order() - before - 1
+        oldest = np.flatnonzero(place >= 0)[:1]
+        place = place[oldest[0] if len(oldest) else len(place) :]
+        return np.where(place >= 0, given[np.maximum(place, 0)], 0.0)
+
+    def _evaluated(self, step: int, episodes: Sequence[Episode]) -> None:
+        at, earlier = self._episodes
+        self._episodes = step, [*(earlier if at == step else ()), *episodes]
+        self._recorder.consume(Evaluation(*self._episodes))
