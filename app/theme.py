@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tom.config import SAC_ALONE
+from tom.config import OWN_LOOP, SAC_ALONE
 from tom.learners import LEARNERS
 
 Mode = Literal["light", "dark"]
@@ -18,7 +18,7 @@ BASELINE_COLOURS: dict[str, str] = {
     "footprint-only": "#98815f",
     SAC_ALONE: "#7d6f66",
 }
-_OTHER_LABELS = {SAC_ALONE: "SAC"}
+_OTHER_LABELS = {SAC_ALONE: "SAC", OWN_LOOP: "Own loop"}
 _SPARE_COLOURS = ("#7a6ff0", "#8f6a4e", "#5f8a1f", "#a8506e")
 # For groups without a learner's colour; also the colour-blind can tell them apart and from neutral.
 QUALITATIVE = ("#0096ff", "#c31e2d", "#a5960f", "#693cf0", "#963ca5", "#b43c5a")

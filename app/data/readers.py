@@ -101,6 +101,11 @@ def _part(run: RunReader, part: Literal["metrics", "profiles", "notices"]) -> tu
     return _PARTS.get((run.path, part), read, run.version(part))
 
 
+def evaluated(run: RunReader) -> RunReader:
+    """The run whose policies a run's returns are: of live weights, that of the loop."""
+    return RunReader(run.path.with_name(run.of)) if run.of else run
+
+
 def metrics(run: RunReader) -> pd.DataFrame:
     """One row per recorded step: `env_step` and every metric."""
     return _part(run, "metrics")[0]

@@ -9,6 +9,7 @@ import streamlit as st
 from app import session, text
 from app.data import readers, trainings, weighings
 from app.parts import again, widgets
+from app.parts.scope import Scope
 from tom.record.reader import RunReader
 
 EXAMPLES = Path(__file__).parents[2] / "runs"
@@ -68,6 +69,24 @@ def left_out(run: RunReader, *parts: str) -> bool:
     words += [f"Left out of this example: {', '.join(others)}."] if others else []
     st.caption(" ".join(words))
     return True
+
+
+CALLS = {
+    "weights": "`run.weights` records them, `tom.weigh_live(run)` computes them",
+    "rows": "`run.transitions` records them",
+    "evaluations": "`run.evaluate` plays them, `run.episode` records yours",
+}
+"""what a loop of one's own calls for its record to have a part"""
+
+
+def of_own_loop(scope: Scope, shown: RunReader | None, part: str) -> None:
+    """Say what the chosen run of a loop of one's own lacks here, and which call would give it."""
+    loops = [run for run in scope.runs if run.own_loop and not run.of]
+    asked = [run for run in scope.runs if run.run_id == scope.asked and run.own_loop]
+    for run in asked or ([] if shown else loops[:1]):
+        if shown is None or shown.run_id != run.run_id:
+            how = f"they are in {run.of}'s record" if run.of else CALLS[part]
+            st.caption(f"{text.markdown(run.run_id)} has no {part} of its own: {how}.")
 
 
 def left_out_of_all(runs: Sequence[RunReader], part: str) -> bool:

@@ -59,6 +59,8 @@ def stored_model(run: RunReader) -> StoredModel:
     """The model in the newest checkpoint or in a small copy. Raises UserError if there is none."""
     if not run.fits_model:
         raise UserError(f"run '{run.run_id}' has no dynamics model: SAC learns none")
+    if run.own_loop:
+        raise UserError(f"run '{run.run_id}' has no dynamics model: its loop is not ours")
     try:
         held = checkpoint.load_model(run.path)
     except MemoryError as error:

@@ -38,6 +38,8 @@ from tom.record.files import modified, temp_path
 from tom.rng import Streams
 from tom.training import presets
 
+LIVE = "live"
+"""in place of a preset: nothing was trained with these weights"""
 POLL_S = 0.5
 NICE = 19
 POLICY_ROWS = 1000
@@ -97,7 +99,7 @@ class _Live:
             if name in with_own_settings(OwnLoopConfig, [learner]).model_fields
         }
         settings: dict[str, Any] = {"seed": source.seed, "own": {}, "of": source.run_id}
-        settings |= {"every": every, "steps": source.config["config"]["steps"]}
+        settings |= {"preset": LIVE, "every": every, "steps": source.config["config"]["steps"]}
         self.config = with_own_settings(OwnLoopConfig, [learner]).model_validate(groups | settings)
         self.name = f"{source.run_id}-{learner}"
         rows = source.buffer_length()

@@ -140,6 +140,11 @@ class RunReader:
         return isinstance(settings, dict) and "own" in settings
 
     @property
+    def of(self) -> str:
+        """The run whose buffer it weighs live (`tom.weigh_live`); empty if it is no such run."""
+        return str(self.config["config"].get("of", "")) if self.own_loop else ""
+
+    @property
     def seed(self) -> int:
         return self.config.get("seed", 0)
 

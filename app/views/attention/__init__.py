@@ -49,6 +49,7 @@ def _one(scope: Scope) -> None:
     run = data.get(scope.asked) or scope.one(readers.has_profiles, widgets.telling)
     if data:
         run = pick_data(st.columns([1, 2])[0], data, run)
+    empty.of_own_loop(scope, run, "weights")
     if run is None:
         st.info("No run here has fitted a model yet: weights come with the first fit.")
         return
@@ -85,9 +86,8 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
     left, right = st.columns([3, 2])
     with left, st.container(border=True):
         st.markdown("**Every fit**: weight by age, newest on top, and the returns")
-        figure = with_returns(
-            weight_map(profiles, session.mode(), HEIGHT, x=x), widgets.curve(run, "eval/return")
-        )
+        figure = weight_map(profiles, session.mode(), HEIGHT, x=x)
+        figure = with_returns(figure, widgets.curve(readers.evaluated(run), "eval/return"))
         label = "weight of each part of the buffer at every fit, and the returns below"
         chart(figure, "weight map", label, partial(_go_to, fits), follow=Follow(cursor=True))
         if run.small_copy and len(fits) >= FITS:

@@ -31,6 +31,7 @@ CHOSEN = "another episode was chosen"
 def draw(scope: Scope) -> None:
     """A run, an evaluation, an episode; the robot, its return and its reward."""
     run = scope.one(lambda run: bool(run.evaluation_steps()), widgets.telling)
+    empty.of_own_loop(scope, run, "evaluations")
     if run is None:
         if not empty.left_out_of_all(scope.runs, empty.EVALUATIONS):
             st.info("No run here has been evaluated yet: its episodes are recorded then.")
