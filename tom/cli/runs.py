@@ -99,6 +99,14 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "--keep", type=whole(0), default=1, help="checkpoints to keep of each run [1]"
     )
     pruned.add_argument("--dry-run", action="store_true", help="say what it would free")
+    imported = verb("import", import_runs, "make runs of what another tracker recorded, for Curves")
+    imported.add_argument(
+        "path", metavar="PATH", help="TensorBoard's event file or folder, or W&B's exported CSV"
+    )
+    imported.add_argument("--env", required=True, help="the task, such as Hopper-v5")
+    imported.add_argument("--name", default="", help="name of the run [the file's]")
+    imported.add_argument("--return", dest="returned", default="", metavar="METRIC",
+                          help="the metric that is the return [eval/mean_reward and the like]")
     fetched = verb("fetch", fetch, "copy runs [all] from an object store into the store")
     fetched.add_argument("url", metavar="s3://BUCKET/PREFIX", help="the --store of `tom sweep`")
     fetched.add_argument("run_ids", metavar="RUN", nargs="*")
@@ -400,6 +408,13 @@ def prune(args: argparse.Namespace) -> int:
     would = "would free" if args.dry_run else "freed"
     lines = [f"{name}: {would} {readable.size(count)}" for name, count in freed.items()]
     return _output(args, freed, [*lines, f"{would} {readable.size(sum(freed.values()))} in all"])
+
+
+def import_runs(args: argparse.Namespace) -> int:
+    from tom.own_loop.imported import import_metrics  # tasks take a second to import
+
+    made = import_metrics(args.path, args.env, args.store, args.name, args.returned)
+    return _output(args, made, made)
 
 
 def fetch(args: argparse.Namespace) -> int:

@@ -30,6 +30,7 @@ class RecordCallback(BaseCallback, KVWriter):
     """
 
     run: OwnRun
+    _played = -1
 
     def __init__(
         self,
@@ -85,9 +86,11 @@ class RecordCallback(BaseCallback, KVWriter):
         self.run.close()
 
     def _keep(self) -> None:
-        self.run.policy(self.num_timesteps, self.model)
-        if self._episodes:
-            self.run.evaluate(self.num_timesteps, self._episodes)
+        step = self.num_timesteps
+        self.run.policy(step, self.model)
+        if self._episodes and step > self._played:
+            self.run.evaluate(step, self._episodes)
+            self._played = step
 
     def _own(self, obs: Any) -> np.ndarray:
         """Observations (E, O) in the task's own units."""

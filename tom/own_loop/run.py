@@ -79,7 +79,7 @@ def record(
     given, after which everything is cut off. Raises UserError. Later errors are warnings, and the
     loop goes on, unless it is `strict`.
     """
-    known, place = _known(env), Store(Path(store))
+    known, place = known_task(env), Store(Path(store))
     if envs < 1 or autoreset not in (None, *AUTORESET) or resume not in (None, "auto"):
         raise UserError(
             f"envs {envs}, autoreset {autoreset}, resume {resume}: envs is at least 1, autoreset "
@@ -129,7 +129,7 @@ def opened(
     return Recorder(writer, mark=mark), writer, handed
 
 
-def _known(env: str) -> Task:
+def known_task(env: str) -> Task:
     """The task called `env`, ours if it is Gymnasium's under another name. Raises UserError."""
     ours = {one.gym_id: one.name for one in ENVS.values() if not one.kwargs}
     name = ours.get(env, env)

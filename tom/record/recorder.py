@@ -4,6 +4,7 @@ import logging
 import os
 import time
 from collections.abc import Callable, Mapping
+from math import isfinite
 from types import TracebackType
 from typing import Any, Literal, Self
 
@@ -218,6 +219,8 @@ class Recorder:
     def _merge(self, env_step: int, values: Mapping[str, float]) -> None:
         self._pending_step = env_step
         self._pending.update(values)
+        if isfinite(returned := values.get("eval/return", np.nan)):
+            self._pending["eval/return_max"] = self._heartbeat.evaluated(returned)
 
     def _write_row(self) -> None:
         """Write the metrics of the step that is over."""
@@ -266,5 +269,4 @@ class Recorder:
         success = [episode.info["success"] for episode in episodes if "success" in episode.info]
         if success:
             values["eval/success"] = float(np.mean(success))
-        best = self._heartbeat.evaluated(values["eval/return"])
-        self._merge(step, {**values, "eval/return_max": best})
+        self._merge(step, values)

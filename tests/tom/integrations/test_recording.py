@@ -1,0 +1,156 @@
+"""Trainings of other libraries, recorded while they run: real ones, and short."""
+
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import RecordEpisodeStatistics
+from gymnasium.wrappers.vector import RecordEpisodeStatistics as RecordStatistics
+from ray.rllib.policy.sample_batch import SampleBatch
+from ray.rllib.utils.replay_buffers.prioritized_replay_buffer import PrioritizedReplayBuffer
+from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+import tom
+from tom.data.datasets import read_dataset
+from tom.frames import Run
+from tom.integrations.gymnasium import RecordEnv, RecordVectorEnv
+from tom.integrations.rllib import priorities
+from tom.integrations.sb3 import RecordCallback, export_buffer
+from tom.own_loop.run import record
+from tom.policy.stored import read_policy
+
+
+
+def small(kind, env, **options):
+    """A model that learns quickly."""
+    return kind("MlpPolicy", env, policy_kwargs={"net_arch": [8, 8]}, seed=0, **options)
+
+
+def loaded(store: Path, name: str = "mine") -> Run:
+    found = tom.load(name, store=store)
+    assert isinstance(found, Run)
+    return found
+
+
+def pendulum(limit: int = 30) -> gymnasium.Env:
+    return gymnasium.make("Pendulum-v1", max_episode_steps=limit)
+
+
+@pytest.mark.parametrize("kind", [SAC, TD3])
+@pytest.mark.parametrize("normalised", [False, True])
+@pytest.mark.parametrize("envs", [1, 2])
+def test_a_training_of_sb3_is_recorded_as_it_is(kind, normalised, envs, tmp_path: Path):
+    env = DummyVecEnv([pendulum] * envs)
+    env = VecNormalize(env) if normalised else env
+    model = small(kind, env, learning_starts=20, batch_size=16)
+    callback = RecordCallback("mine", store=str(tmp_path), weigh=(), every=60, episodes=2)
+    model.learn(120, callback=callback, log_interval=1)
+    run = loaded(tmp_path)
+    export_buffer(model, tmp_path / "buffer.npz")
+    kept, table = read_dataset(tmp_path / "buffer.npz").rows, run.transitions
+    order = np.lexsort(table[["obs_0", "obs_2", "reward"]].to_numpy().T)
+    other = np.lexsort(np.column_stack((kept.obs[:, [0, 2]], kept.reward)).T)
+    for name in ("reward", "terminated", "truncated"):
+        np.testing.assert_allclose(table[name][order], np.asarray(getattr(kept, name))[other], rtol=1e-4)
+    for name in ("obs", "next_obs", "action"):
+        columns = [c for c in table if str(c).rpartition("_")[0] == name]
+        found = table[columns].to_numpy()[order]
+        np.testing.assert_allclose(found, getattr(kept, name)[other], rtol=1e-3, atol=1e-4)
+    # The kept policy and critics are the model's own.
+    policy = read_policy(run.reader.path / "policy.npz")
+    obs = np.asarray(kept.obs, np.float32)
+    expected = model.predict(env.normalize_obs(obs) if normalised else obs, deterministic=True)[0]
+    unit = torch.from_numpy(obs / np.float32([1, 1, 8]))
+    np.testing.assert_allclose(2 * policy.mean(unit), expected, atol=1e-3)
+    assert policy.value_gradient is not None
+    assert run.reader.evaluation_steps() == [60, 120]
+    assert len(run.reader.episodes(120)) == 2
+    assert {"critic/loss", "eval/return", "train/return"} <= {*run.metrics}
+
+
+def test_a_model_that_is_loaded_goes_on_with_its_run(tmp_path: Path):
+    def callback() -> RecordCallback:
+        return RecordCallback("mine", store=str(tmp_path), weigh=(), every=50, episodes=0)
+
+    model = small(SAC, pendulum(), learning_starts=20, batch_size=16)
+    model.learn(70, callback=callback())
+    model.save(tmp_path / "model.zip")
+    model.learn(100, callback=callback(), reset_num_timesteps=False)  # lost: it was killed
+    again = SAC.load(tmp_path / "model.zip", env=pendulum())
+    again.learn(60, callback=callback(), reset_num_timesteps=False)
+    run = loaded(tmp_path)
+    assert len(run.transitions) == 130
+    assert run.summary["state"] == "finished"
+    assert run.reader.policy_steps() == [50, 70, 120, 130]
+    assert run.transitions["truncated"].to_numpy().nonzero()[0].tolist() == [29, 59, 69, 99, 129]
+
+
+def test_a_policy_of_ppo_is_learnt_from_its_answers(tmp_path: Path):
+    model = small(PPO, DummyVecEnv([pendulum] * 2), n_steps=64)
+    callback = RecordCallback("mine", store=str(tmp_path), weigh=(), every=128, episodes=0)
+    model.learn(256, callback=callback)
+    run = loaded(tmp_path)
+    assert len(run.transitions) == 256
+    assert run.transitions["action_0"].abs().max() <= 2
+    assert run.metrics["policy/copy_error"].dropna().tolist()[-1] < 0.2
+
+
+def test_an_environment_records_itself(tmp_path: Path):
+    env = RecordEnv(RecordEpisodeStatistics(pendulum()), "mine", store=tmp_path)
+    returns = []
+    for seed in range(3):
+        env.reset(seed=seed)
+        ended = False
+        while not ended:
+            _, _, terminated, truncated, info = env.step(env.action_space.sample())
+            ended = terminated or truncated
+        returns.append(info["episode"]["r"])
+    env.close()
+    run = loaded(tmp_path)
+    np.testing.assert_allclose(run.metrics["train/return"].dropna(), returns, rtol=1e-5)
+    assert run.transitions["truncated"].to_numpy().nonzero()[0].tolist() == [29, 59, 89]
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode)[:2])
+def test_a_vector_of_environments_records_itself(mode: AutoresetMode, tmp_path: Path):
+    envs = gymnasium.make_vec(
+        "Pendulum-v1", num_envs=3, max_episode_steps=20, vector_kwargs={"autoreset_mode": mode}
+    )
+    envs = RecordVectorEnv(RecordStatistics(envs), "mine", store=tmp_path)
+    envs.reset(seed=0)
+    returns = []
+    for _ in range(65):
+        infos = envs.step(envs.action_space.sample())[-1]
+        if "episode" in infos:
+            returns += infos["episode"]["r"][infos["_episode"]].tolist()
+    envs.close()
+    table = loaded(tmp_path).transitions
+    ends = (table["terminated"] | table["truncated"]).to_numpy().nonzero()[0]
+    totals = [part.sum() for part in np.split(table["reward"].to_numpy(), ends + 1)]
+    assert len(returns) == 9
+    whole = [np.float32(r) for r in totals if min(abs(r - x) for x in returns) < 1e-2]
+    np.testing.assert_allclose(sorted(whole), sorted(returns), rtol=1e-4)
+
+
+def test_priorities_of_rllib_are_the_weights(tmp_path: Path):
+    buffer = PrioritizedReplayBuffer(capacity=20, storage_unit="timesteps", alpha=0.5)
+    rng, given = np.random.default_rng(0), {}
+    with record("mine", env="Pendulum-v1", store=tmp_path) as run:
+        for step in range(30):
+            run.transitions([step, 0, 0], [0], step, [step + 1, 0, 0], False, False)
+            row = {"obs": [np.ones(3) * step], "step": [step]}
+            buffer.add(SampleBatch(row), weight=1.0)
+            if step >= 8:
+                drawn = buffer.sample(4, beta=0.4)
+                new = rng.random(4) + 0.1
+                buffer.update_priorities(drawn["batch_indexes"], new)
+                given |= dict(zip(drawn["step"].tolist(), new.tolist(), strict=True))
+        run.weights(30, priorities(buffer))
+    expected = np.array([given.get(step, 1.0) for step in range(10, 30)]) ** 0.5
+    found = loaded(tmp_path).rows()
+    assert found["reward"].tolist() == list(range(10, 30))
+    np.testing.assert_allclose(found["weight"], expected / expected.mean(), rtol=1e-5)

@@ -1,0 +1,60 @@
+"""What other trackers recorded: the numbers of their files are the run's."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from commands import code_of
+from tensorboardX import SummaryWriter
+
+import tom
+from tom.frames import Run
+
+
+def loaded(store: Path, name: str) -> Run:
+    found = tom.load(name, store=store)
+    assert isinstance(found, Run)
+    return found
+
+
+def test_event_files_of_tensorboard_are_a_run(tmp_path: Path):
+    with SummaryWriter(str(tmp_path / "logs")) as writer:
+        for step in range(0, 1000, 100):
+            writer.add_scalar("charts/episodic_return", step / 10, step)
+            writer.add_scalar("losses/critic", 1 / (step + 1), step)
+        writer.add_text("hyperparameters", "no number", 0)
+    words = ["runs", "import", str(tmp_path / "logs"), "--env", "Hopper-v5", "--store"]
+    assert code_of([*words, str(tmp_path / "runs"), "--name", "peer"]) == 0
+    run = loaded(tmp_path / "runs", "peer")
+    assert run.reader.env == "hopper"
+    assert run.metrics["eval/return"].to_dict() == {s: s / 10 for s in range(0, 1000, 100)}
+    np.testing.assert_allclose(run.metrics["losses/critic"], 1 / (np.arange(0, 1000, 100) + 1))
+    assert "time/wall_s" not in run.metrics
+    assert run.summary[["state", "env_step", "last_return"]].tolist() == ["finished", 900, 90]
+    [file] = (tmp_path / "logs").glob("*tfevents*")
+    file.write_bytes(file.read_bytes()[:-7])  # its training was killed
+    assert code_of([*words, str(tmp_path / "runs"), "--name", "killed"]) == 0
+    assert len(loaded(tmp_path / "runs", "killed").metrics) == 10
+
+
+def test_a_csv_of_wandb_is_a_run_for_each_of_its_runs(tmp_path: Path):
+    steps, table = [100, 200, 300], tmp_path / "wandb_export.csv"
+    columns = {"Step": steps, "sac 1 - eval/score": [1, np.nan, 3], "sac 2 - eval/score": [4, 5, 6]}
+    columns |= {"sac 2 - eval/score__MAX": [9, 9, 9]}
+    pd.DataFrame(columns).to_csv(table, index=False)
+    words = ["runs", "import", str(table), "--env", "Pendulum-v1", "--store", str(tmp_path / "r")]
+    assert code_of([*words, "--return", "eval/score"]) == 0
+    assert loaded(tmp_path / "r", "sac-1").metrics["eval/return"].to_dict() == {100: 1, 300: 3}
+    assert loaded(tmp_path / "r", "sac-2").metrics["eval/return"].tolist() == [4, 5, 6]
+    assert code_of([*words, "--return", "eval/score"]) == 2  # they are there
+
+
+@pytest.mark.parametrize("content", [b"", b"not an event file at all", b"Step,a\nx,y\n", b"a\n1\n"])
+@pytest.mark.parametrize("name", ["events.csv", "events.tfevents"])
+def test_what_cannot_be_read_makes_no_run(content: bytes, name: str, tmp_path: Path, capsys):
+    (tmp_path / name).write_bytes(content)
+    words = ["runs", "import", str(tmp_path / name), "--env", "Hopper-v5"]
+    assert code_of([*words, "--store", str(tmp_path / "runs")]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert not (tmp_path / "runs").exists()

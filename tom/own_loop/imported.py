@@ -1,0 +1,151 @@
+"""What other trackers recorded, as runs of their own: metrics alone, for Curves.
+
+TensorBoard's event files and the CSV that Weights & Biases exports. Both are read as numbers only.
+"""
+
+import struct
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from tom.config import OwnLoopConfig
+from tom.errors import UserError, reason
+from tom.events import Metrics, Tick
+from tom.own_loop.run import known_task, opened
+from tom.record import Store
+
+RETURNS = (
+    "eval/return",
+    "eval/mean_reward",
+    "eval/episode_reward",
+    "evaluation/return",
+    "charts/episodic_return",
+    "rollout/ep_rew_mean",
+    "train/return",
+)
+"""metrics that become the return, the first that is there"""
+STEPS = ("Step", "_step", "global_step", "env_step", "step")
+"""columns of a CSV that count env steps"""
+
+Series = dict[str, dict[int, float]]
+"""by metric the value at each step; of several at one step the last"""
+
+
+def import_metrics(
+    path: str | Path,
+    env: str,
+    store: str | Path = "runs",
+    name: str = "",
+    returned: str = "",
+) -> list[str]:
+    """Make a run of each training in `path`; their ids.
+
+    `path` is an event file of TensorBoard, a folder with some of one training, or W&B's CSV, which
+    may have several trainings, `RUN - METRIC`. `env` is the task, as in `tom.record`; `name` that
+    of the run, by default the file's; `returned` is the metric that is the return [the first of
+    RETURNS]. Steps are taken to be env steps. Raises UserError.
+    """
+    path = Path(path)
+    try:
+        found = _csv(path) if path.suffix == ".csv" else {"": _events(path)}
+    except (OSError, ValueError, struct.error) as error:
+        raise UserError(f"{path} cannot be read: {reason(error)}") from error
+    metrics = dict.fromkeys(metric for series in found.values() for metric in series)
+    if not metrics:
+        raise UserError(f"{path} holds no scalars: give TensorBoard's events or W&B's CSV")
+    if returned and returned not in metrics:
+        raise UserError(f"{path} has no metric '{returned}': it has {', '.join(metrics)}")
+    named = {_run_id(name, training or ("" if name else path.stem)): s for training, s in found.items()}
+    place, known = Store(Path(store)), known_task(env)
+    if taken := [run_id for run_id in named if place.resolve(run_id).exists()]:
+        raise UserError(f"run '{taken[0]}' exists already: choose another --name")
+    for run_id, series in named.items():
+        last = max(step for values in series.values() for step in values)
+        given = {"imported": path.name}
+        settings = OwnLoopConfig(env=known.name, steps=max(last, 1), own=given)
+        recorder, _, _ = opened(place, run_id, settings, resume=None)
+        with recorder:
+            # Steps before that of the status have no time: theirs is not known.
+            recorder.consume(Tick(last + 1, "import"))
+            for step, values in _by_step(series, returned):
+                recorder.consume(Metrics(step, values))
+            recorder.consume(Tick(last, "import"))
+    return list(named)
+
+
+def _run_id(*parts: str) -> str:
+    words = "-".join(filter(None, parts))
+    return "".join(c if c.isascii() and (c.isalnum() or c in "._-") else "-" for c in words)[:95]
+
+
+def _by_step(series: Series, returned: str) -> Iterator[tuple[int, dict[str, float]]]:
+    chosen = returned or next((metric for metric in RETURNS if metric in series), "")
+    names = {metric: "eval/return" if metric == chosen else metric for metric in series}
+    for step in sorted({step for values in series.values() for step in values}):
+        yield step, {names[m]: values[step] for m, values in series.items() if step in values}
+
+
+def _events(path: Path) -> Series:
+    files = sorted(path.glob("*tfevents*")) if path.is_dir() else [path]
+    if not files:
+        raise UserError(f"{path} holds no event files of TensorBoard (*tfevents*)")
+    series: Series = {}
+    for file in files:
+        for step, metric, value in _scalars(file.read_bytes()):
+            series.setdefault(metric, {})[step] = value
+    return series
+
+
+def _scalars(content: bytes) -> Iterable[tuple[int, str, float]]:
+    """Step, name and value of each scalar; a record that a kill cut short ends the file."""
+    # Imported here because most commands do not need it.
+    from google.protobuf.message import DecodeError
+    from tensorboardX.proto import event_pb2
+
+    event, at = vars(event_pb2)["Event"], 0
+    while at + 12 <= len(content):
+        (size,) = struct.unpack_from("<Q", content, at)
+        record, at = content[at + 12 : at + 12 + size], at + 16 + size
+        if len(record) < size:
+            return
+        try:
+            read = event.FromString(record)
+        except DecodeError as error:
+            raise ValueError("no event file of TensorBoard") from error
+        for value in read.summary.value:
+            if value.HasField("simple_value"):
+                yield read.step, value.tag, value.simple_value
+            elif value.HasField("tensor") and (number := _number(value.tensor)) is not None:
+                yield read.step, value.tag, number
+
+
+def _number(tensor) -> float | None:
+    """The value of a scalar tensor of TensorFlow 2; None if it is anything else."""
+    stored = [*tensor.float_val, *tensor.double_val]
+    kinds = {1: np.float32, 2: np.float64}
+    if not stored and tensor.dtype in kinds and not tensor.tensor_shape.dim:
+        stored = np.frombuffer(tensor.tensor_content, kinds[tensor.dtype]).tolist()
+    return float(stored[0]) if len(stored) == 1 else None
+
+
+def _csv(path: Path) -> dict[str, Series]:
+    """By training the metrics of a table: `Step` and `RUN - METRIC`, or a column a metric."""
+    table = pd.read_csv(path)
+    step = next((column for column in STEPS if column in table), None)
+    if step is None:
+        raise UserError(f"{path} has no column of steps: name it one of {', '.join(STEPS)}")
+    found: dict[str, Series] = {}
+    for column in table:
+        training, dash, metric = str(column).rpartition(" - ")
+        metric = metric if dash else str(column)
+        if column == step or metric.endswith(("__MIN", "__MAX")):
+            continue
+        values = pd.to_numeric(table[column], errors="coerce")
+        steps = pd.to_numeric(table[step], errors="coerce")
+        kept = values.notna() & steps.notna()
+        if kept.any():
+            pairs = zip(steps[kept].astype(int), values[kept].astype(float), strict=True)
+            found.setdefault(training, {})[metric] = dict(pairs)
+    return found
