@@ -77,6 +77,8 @@ def weigh_live(
     for name in learners:
         if name not in LEARNERS:
             raise unknown("learner", name, LEARNERS)
+    if every < 1:
+        raise UserError(f"every {every}: weigh every so many rows, at least 1")
     log = run.store.path / layout.LOGS / f"{run.name}-live.log"
     log.parent.mkdir(exist_ok=True)
     command = [sys.executable, "-m", "tom.own_loop.live", str(run.store.path), run.name]

@@ -1,0 +1,117 @@
+"""`tom.weigh_live`: the weights of a growing buffer, computed beside the loop."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tom
+from tom.errors import UserError
+from tom.frames import Run
+from tom.own_loop.live import weigh_live
+from tom.own_loop.run import OwnRun, record
+from tom.record import RunReader, layout
+
+PATIENCE_S = 120
+
+
+def loaded(store: Path, name: str) -> Run:
+    found = tom.load(name, store=store)
+    assert isinstance(found, Run)
+    return found
+
+
+def act(obs: np.ndarray) -> np.ndarray:
+    return 2 * np.tanh(obs[:, 1:2])
+
+
+def hand_in(run: OwnRun, rows: int, envs: int = 1) -> None:
+    """Rows of a policy that moves: whatever it is asked to learn is in them."""
+    rng = np.random.default_rng(run.step)
+    for _ in range(rows // envs):
+        lead = (envs,) if envs > 1 else ()
+        obs, action = rng.normal(run.step / 500, 1, (*lead, 3)), rng.uniform(-2, 2, (*lead, 1))
+        reward, no = rng.normal(size=lead), np.zeros(lead, bool)
+        ended = no | (run.step // envs % 10 == 9)
+        run.transitions(obs, action, reward, obs + 0.1, no, ended)
+    run.policy(run.step, act)
+
+
+def until_weighed(store: Path, name: str, step: int = 1) -> None:
+    begun = time.monotonic()
+    while not [s for s in RunReader(store / name).snapshot_steps() if s >= step]:
+        assert time.monotonic() - begun < PATIENCE_S
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("envs", [1, 2])
+def test_the_newest_buffer_is_weighed_beside_the_loop(envs: int, tmp_path: Path):
+    with record("mine", env="Pendulum-v1", store=tmp_path, envs=envs) as run:
+        assert run.latest_weights("pmac").tolist() == []
+        hand_in(run, 400, envs)
+        live = weigh_live(run, ("pmac", "tom"), every=200)
+        until_weighed(tmp_path, "mine-tom", 400)
+        hand_in(run, 100, envs)
+        weights = run.latest_weights("pmac")
+        assert weights[400:].tolist() == [1.0] * 100
+        hand_in(run, 700, envs)
+    live.wait(PATIENCE_S)
+    own, rows = loaded(tmp_path, "mine"), {}
+    for learner in ("pmac", "tom"):
+        found = loaded(tmp_path, f"mine-{learner}")
+        assert found.reader.of == "mine"
+        assert found.summary["state"] == "finished"
+        assert found.transitions.equals(own.transitions)
+        first = layout.segment(0)
+        assert (found.reader.path / first).samefile(own.reader.path / first)
+        assert found.reader.snapshot_steps()[-1] == 1200
+        assert len(found.reader.profiles().env_step) <= 1200 // 200
+        rows[learner] = found.rows()
+        # Exams: of each fit but the last, on the rows since.
+        exams = found.metrics["exam/footprint_uniform"].notna()
+        assert exams.sum() == len(found.reader.profiles().env_step) - 1
+    # PMAC in closed form: every row has a policy of its own, and recency counts.
+    decay, order = 0.996, np.arange(1200)
+    if envs > 1:  # the record has one episode of ten steps after the other
+        order = order.reshape(60, 10, envs).transpose(0, 2, 1).reshape(-1)
+    share = decay ** (1199.0 - order)
+    share[order > 0] *= 1 - decay
+    np.testing.assert_allclose(rows["pmac"]["weight"], share / share.mean(), rtol=1e-4)
+    given = np.empty(1200)
+    given[order] = share / share.mean()
+    np.testing.assert_allclose(run.latest_weights("pmac"), given, rtol=1e-4)
+    weights = rows["tom"]["weight"].to_numpy()
+    assert abs(weights.mean() - 1) < 1e-3
+    assert weights[-300:].mean() > weights[:300].mean()  # where the policy is
+    assert "policy_distance" in rows["tom"]
+
+
+def test_a_weighing_that_fails_is_told_at_the_end(tmp_path: Path):
+    with pytest.raises(UserError):
+        weigh_live(None, ("toms",))  # pyright: ignore[reportArgumentType]
+    run = record("mine", env="Pendulum-v1", store=tmp_path)
+    hand_in(run, 200)
+    (run.path / layout.policy(200)).write_bytes(b"no policy")
+    live = weigh_live(run, ("mle",), every=100)
+    begun = time.monotonic()
+    while not live.failed():
+        assert time.monotonic() - begun < PATIENCE_S
+        time.sleep(0.05)
+    with pytest.warns(UserWarning, match="live weighing failed"):
+        run.close()
+    assert loaded(tmp_path, "mine").summary["state"] == "finished"
+    assert loaded(tmp_path, "mine-mle").summary["state"] == "failed"
+
+
+def test_a_run_that_goes_on_is_weighed_from_there(tmp_path: Path):
+    for _ in range(2):
+        resume = {"resume": "auto", "step": 300} if (tmp_path / "mine").exists() else {}
+        with record("mine", env="Pendulum-v1", store=tmp_path, **resume) as run:
+            hand_in(run, 400)
+            live = weigh_live(run, ("mle",), every=100)
+        live.wait(PATIENCE_S)
+    found, own = loaded(tmp_path, "mine-mle"), loaded(tmp_path, "mine")
+    assert len(own.transitions) == 700
+    assert found.transitions.equals(own.transitions)
+    assert found.reader.snapshot_steps()[-1] == 700
