@@ -45,7 +45,7 @@ def card(run: RunReader, preset: str = "") -> None:
     The `preset` tells it from other runs of its learner.
     """
     status = run.status
-    if status.alive and session.may_act():
+    if status.alive and session.may_act() and not run.own_loop:
         left, right = st.columns([4, 1], vertical_alignment="center", gap="small")
         left.html(head(run, preset))
         with right:

@@ -105,8 +105,13 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )
     imported.add_argument("--env", required=True, help="the task, such as Hopper-v5")
     imported.add_argument("--name", default="", help="name of the run [the file's]")
-    imported.add_argument("--return", dest="returned", default="", metavar="METRIC",
-                          help="the metric that is the return [eval/mean_reward and the like]")
+    imported.add_argument(
+        "--return",
+        dest="returned",
+        default="",
+        metavar="METRIC",
+        help="the metric that is the return [eval/mean_reward and the like]",
+    )
     fetched = verb("fetch", fetch, "copy runs [all] from an object store into the store")
     fetched.add_argument("url", metavar="s3://BUCKET/PREFIX", help="the --store of `tom sweep`")
     fetched.add_argument("run_ids", metavar="RUN", nargs="*")

@@ -1,6 +1,6 @@
 """Gymnasium's environments, one or a vector of them, that record their steps as they take them.
 
-    env = RecordEnv(gymnasium.make("Hopper-v5"), "my-sac")       # env.run is what tom.record returns
+    env = RecordEnv(gymnasium.make("Hopper-v5"), "my-sac")  # env.run: as of tom.record
     envs = RecordVectorEnv(gymnasium.make_vec("Hopper-v5", num_envs=4), "my-sac")
 
 `options` are those of `tom.record`; `close` ends the record. Put them around wrappers that record

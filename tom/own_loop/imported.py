@@ -57,7 +57,10 @@ def import_metrics(
         raise UserError(f"{path} holds no scalars: give TensorBoard's events or W&B's CSV")
     if returned and returned not in metrics:
         raise UserError(f"{path} has no metric '{returned}': it has {', '.join(metrics)}")
-    named = {_run_id(name, training or ("" if name else path.stem)): s for training, s in found.items()}
+    named = {
+        _run_id(name, training or ("" if name else path.stem)): series
+        for training, series in found.items()
+    }
     place, known = Store(Path(store)), known_task(env)
     if taken := [run_id for run_id in named if place.resolve(run_id).exists()]:
         raise UserError(f"run '{taken[0]}' exists already: choose another --name")

@@ -10,10 +10,10 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -41,7 +41,9 @@ from tom.training import presets
 LIVE = "live"
 """in place of a preset: nothing was trained with these weights"""
 POLL_S = 0.5
+WAIT_S = 600.0
 NICE = 19
+T = TypeVar("T")
 POLICY_ROWS = 1000
 """the newest rows, which stand for the policy"""
 
@@ -105,8 +107,8 @@ class _Live:
         self.config = with_own_settings(OwnLoopConfig, [learner]).model_validate(groups | settings)
         self.name = f"{source.run_id}-{learner}"
         rows = source.buffer_length()
-        self.recorder, self._writer, _ = opened(
-            store, self.name, self.config, resume="auto", step=rows
+        self.recorder, self._writer, _ = _when_free(
+            lambda: opened(store, self.name, self.config, resume="auto", step=rows)
         )
         self.path, self._rows = self._writer.path, 0
         self.streams = Streams(source.seed)
@@ -165,9 +167,22 @@ class _Live:
             self.recorder.consume(Metrics(fitted.env_step, metrics))
 
 
+def _when_free(make: Callable[[], T]) -> T:
+    """What it makes; the process of a loop that was killed may still weigh its last buffer."""
+    until = time.monotonic() + WAIT_S
+    while True:
+        try:
+            return make()
+        except TryLaterError:
+            if time.monotonic() > until:
+                raise
+            time.sleep(POLL_S)
+
+
 def follow(store: Store, name: str, learners: Sequence[str], every: int) -> None:
     """Weigh the buffer of the run `name` until the run ends, and once more then."""
     source = store.run(name)
+    writer = source.status.pid
     with ExitStack() as stack:
         lives = [_Live(store, source, learner, every) for learner in learners]
         for live in lives:
@@ -175,7 +190,8 @@ def follow(store: Store, name: str, learners: Sequence[str], every: int) -> None
         last, took = 0, 0.0
         while True:
             source = RunReader(source.path)
-            running = source.status.state == "running" and lock.held(source.path)
+            now = source.status  # of another process: the loop was started again
+            running = now.state == "running" and now.pid == writer and lock.held(source.path)
             rows, steps = source.buffer_length(), source.policy_steps()
             due = rows - last >= every if running else rows > last
             if due and steps:
@@ -191,9 +207,9 @@ def follow(store: Store, name: str, learners: Sequence[str], every: int) -> None
                 last = _weigh(lives, source, steps[-1])
                 took = time.monotonic() - begun
             if not running:
-                if (state := source.status.state) != "finished":
+                if now.state != "finished":
                     for live in lives:
-                        live.recorder.finish("stopped", f"run {name} ended as {state}")
+                        live.recorder.finish("stopped", f"run {name} ended unfinished")
                 return
             time.sleep(POLL_S)
 

@@ -191,7 +191,11 @@ def _layers(modules: Sequence[nn.Module]) -> Layers | None:
     linear = [module for module in modules if isinstance(module, nn.Linear)]
     if len(linear) + sum(isinstance(module, nn.ReLU) for module in modules) != len(modules):
         return None
-    return [(_numbers(m.weight).T.copy(), _numbers(m.bias)) for m in linear]
+    return [_layer(module) for module in linear]
+
+
+def _layer(linear: nn.Linear) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return _numbers(linear.weight).T.copy(), _numbers(linear.bias)
 
 
 def _numbers(tensor: Tensor) -> NDArray[np.float64]:

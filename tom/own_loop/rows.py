@@ -75,7 +75,7 @@ class Rows:
         """
         columns = self._checked(obs, action, reward, next_obs, terminated, truncated)
         ends = columns[4] | columns[5]  # (T, E)
-        steps, envs = ends.shape
+        envs = ends.shape[1]
         if self._autoreset == "same-step":
             columns = _with_final_obs(columns, ends, infos)
         first, self.handed = self.handed, self.handed + ends.size

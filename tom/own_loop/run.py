@@ -237,7 +237,7 @@ class OwnRun:
         numbers = {}
         for name, value in values.items():
             try:
-                numbers[str(name)] = float(value)
+                numbers[str(name)] = float(getattr(value, "item", lambda value=value: value)())
             except (TypeError, ValueError):
                 raise UserError(f"metrics: {name} is {value!r}, not a number") from None
         self._recorder.consume(Metrics(self._at("metrics", step), numbers))

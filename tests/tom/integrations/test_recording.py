@@ -24,7 +24,6 @@ from tom.own_loop.run import record
 from tom.policy.stored import read_policy
 
 
-
 def small(kind, env, **options):
     """A model that learns quickly."""
     return kind("MlpPolicy", env, policy_kwargs={"net_arch": [8, 8]}, seed=0, **options)
@@ -55,7 +54,8 @@ def test_a_training_of_sb3_is_recorded_as_it_is(kind, normalised, envs, tmp_path
     order = np.lexsort(table[["obs_0", "obs_2", "reward"]].to_numpy().T)
     other = np.lexsort(np.column_stack((kept.obs[:, [0, 2]], kept.reward)).T)
     for name in ("reward", "terminated", "truncated"):
-        np.testing.assert_allclose(table[name][order], np.asarray(getattr(kept, name))[other], rtol=1e-4)
+        values = np.asarray(getattr(kept, name))[other]
+        np.testing.assert_allclose(table[name][order], values, rtol=1e-4)
     for name in ("obs", "next_obs", "action"):
         columns = [c for c in table if str(c).rpartition("_")[0] == name]
         found = table[columns].to_numpy()[order]

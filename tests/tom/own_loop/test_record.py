@@ -1,4 +1,4 @@
-"""`tom.record`: what a loop hands in is what `tom.load` gives back, whatever becomes of the loop."""
+"""`tom.record`: what a loop hands in is what `tom.load` gives back, whatever becomes of it."""
 
 import errno
 import os
