@@ -25,8 +25,9 @@ def main(steps: int = 6000) -> None:
     rng = np.random.default_rng(SEED)
     env = gym.make(ENV)
     env.action_space.seed(SEED)
+    assert isinstance(env.action_space, gym.spaces.Box)
     low, high = env.action_space.low, env.action_space.high
-    obs_dim, action_dim = env.observation_space.shape[0], env.action_space.shape[0]
+    obs_dim, action_dim = len(env.reset(seed=SEED)[0]), len(low)
     actor, critic = network(obs_dim, action_dim), network(obs_dim + action_dim, 1)
     targets = network(obs_dim, action_dim), network(obs_dim + action_dim, 1)
     for target, own in zip(targets, (actor, critic), strict=True):

@@ -7,6 +7,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import tom
@@ -43,7 +44,7 @@ def ended(folder: Path, name: str) -> Run:
         time.sleep(0.1)
     found = tom.load(name, store=folder / "runs")
     assert isinstance(found, Run)
-    assert found.summary["state"] == "finished"
+    assert str(found.summary["state"]) == "finished"
     return found
 
 
@@ -64,6 +65,6 @@ def test_the_example(tmp_path: Path):
     run = ended(tmp_path, "my-ddpg")
     rows = run.rows(700)
     assert len(rows) == 700
-    assert rows["weight"].nunique() > 100
+    assert len(np.unique(rows["weight"])) > 100
     assert run.reader.evaluation_steps() == [700]
     ended(tmp_path, "my-ddpg-pmac")

@@ -219,11 +219,12 @@ def in_own_units(run: RunReader, rows: Transitions) -> Transitions:
     else:
         low, high = action_bounds(task(run.env))
         offset, scale = 0.0, 1.0
+    obs, next_obs, action = map(np.asarray, (rows.obs, rows.next_obs, rows.action))
     return replace(
         rows,
-        obs=(rows.obs * scale + offset).astype(np.float32),
-        next_obs=(rows.next_obs * scale + offset).astype(np.float32),
-        action=((rows.action * (high - low) + (high + low)) / 2).astype(np.float32),
+        obs=(obs * scale + offset).astype(np.float32),
+        next_obs=(next_obs * scale + offset).astype(np.float32),
+        action=((action * (high - low) + (high + low)) / 2).astype(np.float32),
     )
 
 

@@ -37,7 +37,7 @@ from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
 from tom.training.plan import checked, is_done, steps_beyond, trials
 from tom.training.presets import resolve
-from tom.training.resume import recorded_config, resume, unfinished
+from tom.training.resume import resumable_config, resume, unfinished
 from tom.training.run import AnyConfig, train
 
 OWN_OPTIONS = ("env", "learner", "preset")
@@ -166,7 +166,7 @@ def record(config: AnyConfig, args: argparse.Namespace) -> int:
 def resume_run(args: argparse.Namespace, run_id: str, steps: str | int | None) -> int:
     """Go on with a run, to its own last step or to `steps`; returns the exit code."""
     store = Store(args.store)
-    config = recorded_config(store.run(run_id))
+    config = resumable_config(store.run(run_id))
     if steps is not None:
         try:
             config = config.but(steps=steps)

@@ -49,7 +49,8 @@ class RecordVectorEnv(VectorWrapper):
 
     def __init__(self, env: VectorEnv, name: str, **options: Any) -> None:
         super().__init__(env)
-        mode = MODES.get(env.metadata.get("autoreset_mode"))
+        kind = env.metadata.get("autoreset_mode")
+        mode = None if kind is None else MODES.get(kind)
         own = {"envs": env.num_envs, "autoreset": mode, **_task(env, options)}
         self.run, self._obs = record(name, **own), None
 

@@ -145,10 +145,9 @@ def _csv(path: Path) -> dict[str, Series]:
         metric = metric if dash else str(column)
         if column == step or metric.endswith(("__MIN", "__MAX")):
             continue
-        values = pd.to_numeric(table[column], errors="coerce")
-        steps = pd.to_numeric(table[step], errors="coerce")
-        kept = values.notna() & steps.notna()
-        if kept.any():
-            pairs = zip(steps[kept].astype(int), values[kept].astype(float), strict=True)
-            found.setdefault(training, {})[metric] = dict(pairs)
+        pair = table[[step, column]].apply(pd.to_numeric, errors="coerce").dropna()
+        if len(pair):
+            numbers = pair.to_numpy(np.float64)
+            series = {int(at): float(value) for at, value in numbers}
+            found.setdefault(training, {})[metric] = series
     return found

@@ -160,12 +160,9 @@ def _networks(model: Any) -> _Networks | None:
         return None
     if isinstance(actor.mu, nn.Linear):  # SAC
         body = _layers([*getattr(actor, "latent_pi", ())])
-        heads = [
-            _layers([head]) for head in (actor.mu, actor.log_std) if isinstance(head, nn.Linear)
-        ]
-        if body is None or len(heads) != 2 or getattr(actor, "use_sde", False):
+        if body is None or not isinstance(actor.log_std, nn.Linear):  # or it explores by a state
             return None
-        (mean, mean_bias), (std, std_bias) = (head[0] for head in heads if head)
+        (mean, mean_bias), (std, std_bias) = _layer(actor.mu), _layer(actor.log_std)
         layers = [*body, (np.hstack((mean, std)), np.hstack((mean_bias, std_bias)))]
     else:  # TD3, DDPG: the last module is the tanh
         found = _layers([*actor.mu][:-1]) if isinstance([*actor.mu][-1], nn.Tanh) else None

@@ -34,10 +34,10 @@ def cut_back(writer: RunWriter, step: int | None = None) -> dict[str, Any]:
                 (writer.path / name(later)).unlink(missing_ok=True)
     segment, kept = _cut_buffer(writer, reader, last)
     status, table = reader.status, reader.metric_rows()
-    walls = table["time/wall_s"].dropna() if "time/wall_s" in table else []
+    walls = table["time/wall_s"].dropna().tolist() if "time/wall_s" in table else []
     return {
         "env_step": int(min(status.env_step, last)),
-        "wall_s": float(walls.iloc[-1]) if len(walls) else 0.0,
+        "wall_s": walls[-1] if walls else 0.0,
         "returns": (status.last_return, status.best_return),
         "next_snapshot": 0.0,
         "files": {

@@ -306,7 +306,7 @@ class OwnRun:
         """
         reward = np.asarray(rewards, np.float32)
         h, known = len(reward), self.known
-        shapes = {"rewards": (reward, (h,))}
+        shapes: dict[str, tuple[NDArray, tuple[int, ...]]] = {"rewards": (reward, (h,))}
         if isinstance(states, tuple):
             qpos, qvel = (np.asarray(part, np.float32) for part in states)
             shapes |= {"qpos": (qpos, (h + 1, known.nq)), "qvel": (qvel, (h + 1, *qvel.shape[1:]))}
@@ -408,7 +408,7 @@ class OwnRun:
                 self._recorder.consume(TrainedPolicy(at, self._policy[1]))
         except OSError as full:
             error = error or full
-        self._recorder.__exit__(type(error), error, None)
+        self._recorder.__exit__(None if error is None else type(error), error, None)
 
     def _at_exit(self) -> None:
         error = getattr(sys, "last_value", None)

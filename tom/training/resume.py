@@ -61,12 +61,7 @@ def resume(
             f"run '{run_id}' is a small copy, which cannot go on: resume the run that it is of, or "
             "start it again under another name"
         )
-    config = recorded_config(reader)
-    if isinstance(config, OwnLoopConfig):
-        raise UserError(
-            f"run '{run_id}' is of a training loop of your own: start that script again, with "
-            'resume="auto"'
-        )
+    config = resumable_config(reader)
     if steps not in (None, config.steps):
         if isinstance(config, SacRecordingConfig):
             raise UserError(
@@ -146,6 +141,17 @@ def recorded_config(
         raise UserError(
             f"run '{reader.run_id}' was made by another version ({made_by}; {unknown}): {otherwise}"
         ) from None
+
+
+def resumable_config(reader: RunReader) -> AnyConfig:
+    """The configuration of a run that was trained here. Raises UserError for any other."""
+    config = recorded_config(reader)
+    if isinstance(config, OwnLoopConfig):
+        raise UserError(
+            f"run '{reader.run_id}' is of a training loop of your own: start that script again, "
+            'with resume="auto"'
+        )
+    return config
 
 
 def _changed_versions(reader: RunReader, accepted: bool) -> str:

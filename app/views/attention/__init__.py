@@ -11,7 +11,7 @@ from app.data.answer import newest_share
 from app.data.called import names
 from app.figures.base import steps_in_words
 from app.figures.weights import FLOOR, weight_map, weight_profile, with_returns
-from app.parts import address, readout, timeline, widgets
+from app.parts import address, empty, readout, timeline, widgets
 from app.parts.plot import Follow, Point, chart
 from app.parts.readout import Number
 from app.parts.scope import Scope
