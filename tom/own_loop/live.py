@@ -84,7 +84,7 @@ def weigh_live(
     log = run.store.path / layout.LOGS / f"{run.name}-live.log"
     log.parent.mkdir(exist_ok=True)
     command = [sys.executable, "-m", "tom.own_loop.live", str(run.store.path), run.name]
-    command += ["--every", str(every), "--learner", *learners]
+    command += ["--began-at", str(run.began_at), "--every", str(every), "--learner", *learners]
     with log.open("wb") as out:
         process = start(command, out, {**os.environ, "OMP_NUM_THREADS": "1"}, outlives=True)
     live = LiveWeighing(process, log)
@@ -95,7 +95,9 @@ def weigh_live(
 class _Live:
     """One learner's weights of the run `source`: its record, and what it keeps between fits."""
 
-    def __init__(self, store: Store, source: RunReader, learner: str, every: int) -> None:
+    def __init__(
+        self, store: Store, source: RunReader, learner: str, every: int, began_at: int
+    ) -> None:
         usual = presets.resolve(source.env, learner)
         groups = {
             name: value
@@ -106,9 +108,8 @@ class _Live:
         settings |= {"preset": LIVE, "every": every, "steps": source.config["config"]["steps"]}
         self.config = with_own_settings(OwnLoopConfig, [learner]).model_validate(groups | settings)
         self.name = f"{source.run_id}-{learner}"
-        rows = source.buffer_length()
         self.recorder, self._writer, _ = _when_free(
-            lambda: opened(store, self.name, self.config, resume="auto", step=rows)
+            lambda: opened(store, self.name, self.config, resume="auto", step=began_at)
         )
         self.path, self._rows = self._writer.path, 0
         self.streams = Streams(source.seed)
@@ -179,12 +180,15 @@ def _when_free(make: Callable[[], T]) -> T:
             time.sleep(POLL_S)
 
 
-def follow(store: Store, name: str, learners: Sequence[str], every: int) -> None:
-    """Weigh the buffer of the run `name` until the run ends, and once more then."""
+def follow(store: Store, name: str, learners: Sequence[str], every: int, began_at: int = 0) -> None:
+    """Weigh the buffer of the run `name` until the run ends, and once more then.
+
+    What was recorded of a buffer beyond `began_at` rows is of a loop that was cut back, and goes.
+    """
     source = store.run(name)
     writer = source.status.pid
     with ExitStack() as stack:
-        lives = [_Live(store, source, learner, every) for learner in learners]
+        lives = [_Live(store, source, learner, every, began_at) for learner in learners]
         for live in lives:
             stack.enter_context(live.recorder)
         last, took = 0, 0.0
@@ -231,6 +235,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("run")
     parser.add_argument("--learner", nargs="+", required=True)
     parser.add_argument("--every", type=int, required=True)
+    parser.add_argument("--began-at", type=int, required=True)
     args = parser.parse_args(arguments)
     with suppress(OSError):
         os.nice(NICE)
@@ -240,7 +245,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         store = Store(args.store)
         bring(store.run(args.run).env)
         with on_stopping(_interrupt):
-            follow(store, args.run, args.learner, args.every)
+            follow(store, args.run, args.learner, args.every, args.began_at)
     except (UserError, OwnCodeError, TryLaterError, OSError) as error:
         print(reason(error), file=sys.stderr)
         return 1

@@ -179,6 +179,8 @@ class OwnRun:
         self.known, self.closed = known, False
         self._low, self._high = (bound.astype(np.float64) for bound in action_bounds(known))
         self._recorder, self._strict = recorder, strict
+        self.began_at = handed
+        """rows handed in before the loop began or went on"""
         self._rows = Rows(known.obs_dim, known.action_dim, self._write, envs, autoreset, handed)
         self._numbers: list[NDArray[np.int64]] | None = None
         if envs > 1 or autoreset:
