@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any, Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from tom.errors import UserError
 
 Autoreset = Literal["next-step", "same-step"]
 AUTORESET: tuple[Autoreset, ...] = ("next-step", "same-step")
+NUMBER, BOOL = (float, int, np.floating), (bool, np.bool_)
 BLOCK = 4096
 """rows that are written at once"""
 Columns = tuple[NDArray, ...]
@@ -47,6 +49,7 @@ class Rows:
         """`write` gets rows and their numbers (n,); `handed` rows were handed in before."""
         self.handed, self.envs, self.written = handed, envs, 0
         self._tails = {"obs": (obs_dim,), "action": (action_dim,), "next_obs": (obs_dim,)}
+        self._shapes = (obs_dim,), (action_dim,), (obs_dim,)
         self._autoreset, self._write = autoreset, write
         self._plain = envs == 1 and autoreset is None
         self._ended = np.zeros(envs, bool)  # the last step of each environment
@@ -73,6 +76,10 @@ class Rows:
 
         Leading axes: none or (T,) steps of one environment; (E,) or (T, E) of several.
         """
+        if self._plain:
+            one = self._one_step(obs, action, reward, next_obs, terminated, truncated)
+            if one is not None:
+                return one
         columns = self._checked(obs, action, reward, next_obs, terminated, truncated)
         ends = columns[4] | columns[5]  # (T, E)
         envs = ends.shape[1]
@@ -98,6 +105,37 @@ class Rows:
                 found += self._episodes(env, own[2], ends[rows, env], numbers)
                 self._wait(env, own, numbers, ends[rows, env])
         return sorted(found, key=lambda ended: ended.at)
+
+    def _one_step(
+        self, obs: Any, action: Any, reward: Any, next_obs: Any, terminated: Any, truncated: Any
+    ) -> list[Ended] | None:
+        """`add` for a single step, in a third of the time; None if it is anything else."""
+        o, a, n = np.asarray(obs), np.asarray(action), np.asarray(next_obs)
+        if (o.shape, a.shape, n.shape) != self._shapes or not isinstance(reward, NUMBER):
+            return None
+        if o.dtype.kind != "f" or n.dtype.kind != "f" or a.dtype.kind != "f":
+            return None
+        total = np.add.reduce(o) + np.add.reduce(a) + np.add.reduce(n) + reward
+        if (
+            not isfinite(total)
+            or not isinstance(terminated, BOOL)
+            or not isinstance(truncated, BOOL)
+        ):
+            return None
+        at, self.handed = self._count, self.handed + 1
+        values = (o, a, reward, n, terminated, truncated, self.handed)
+        for block, value in zip((*self._block, self._numbers), values, strict=True):
+            block[at] = value
+        self._count += 1
+        self._returns[0] += reward
+        self._lengths[0] += 1
+        found = []
+        if terminated or truncated:
+            found = [Ended(self.handed, float(self._returns[0]), int(self._lengths[0]))]
+            self._returns[0] = self._lengths[0] = 0
+        if self._count == BLOCK:
+            self.flush()
+        return found
 
     def flush(self) -> None:
         """Pass on what is complete."""

@@ -46,7 +46,7 @@ from tom.record.manage import rename
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter, TakenError
 
-FLUSH_S = 1.0
+FLUSH_S = 2.0
 """seconds after which rows are written although they are few"""
 COPY_ERROR = 0.1
 """root mean square, of actions in [-1, 1], from which on a learnt copy of a policy is not told as

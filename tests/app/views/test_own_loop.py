@@ -1,0 +1,73 @@
+"""The pages of a training loop of one's own: as far as there is data, and what gives the rest."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import streamlit as st
+from studio_pages import captions, draw, figures, set_links
+
+from app.links import Links
+from tom.own_loop.live import weigh_live
+from tom.own_loop.run import record
+
+PAGES = ("answer", "curves", "attention", "replays")
+RETURNS = [-9.0, -4.0]
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A loop with nothing but numbers, one with its own weights, one that is weighed live."""
+    path, rng = tmp_path_factory.mktemp("loops"), np.random.default_rng(0)
+    for name in ("bare", "weighs", "live"):
+        live = None
+        with record(name, env="Pendulum-v1", store=path, steps=400) as run:
+            for step in (200, 400):
+                rows, no = rng.normal(size=(200, 3)), np.zeros(200, bool)
+                if name != "bare":
+                    cut = no | (np.arange(200) % 50 == 49)
+                    run.transitions(rows, rows[:, :1] / 9, rows[:, 0], rows, no, cut)
+                run.metrics(step, {"eval/return": RETURNS[step // 200 - 1]})
+                if name == "weighs":
+                    run.weights(step, np.arange(step) + 1.0)
+            if name == "live":
+                run.policy(400, lambda obs: obs[:, :1])
+                run.episode(400, rng.normal(size=(11, 3)), np.ones(10))
+                live = weigh_live(run, ("pmac",), every=100)
+        if live is not None:
+            live.wait(120)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def shown(store: Path, monkeypatch: pytest.MonkeyPatch):
+    set_links(Links(store=str(store), key="key"), monkeypatch)
+    yield
+    st.cache_data.clear()
+
+
+@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("run", ["bare", "weighs", "live"])
+def test_every_page_opens(page: str, run: str):
+    app = draw(page, run=run)
+    assert not app.error
+    if page == "curves":
+        lines = [t for f in figures(app)[:1] for t in f["data"] if "y" in t]
+        assert any(np.allclose(t["y"], RETURNS) for t in lines if len(t["y"]) == 2)
+
+
+@pytest.mark.parametrize(
+    ("page", "run", "call"),
+    [("attention", "bare", "run.weights"), ("replays", "bare", "run.episode")],
+)
+def test_a_page_names_the_call_that_would_give_what_is_missing(page: str, run: str, call: str):
+    assert call in captions(draw(page, run=run))
+
+
+def test_weights_of_the_loop_and_live_ones_are_shown_with_its_returns():
+    for run, steps in (("weighs", [200, 400]), ("live", [400])):
+        app = draw("attention", run=run)
+        [heat] = [t for f in figures(app) for t in f["data"] if t["type"] == "heatmap"]
+        assert np.shape(heat["z"])[1] == len(steps)
+        returns = [t for t in figures(app)[0]["data"] if t["type"].startswith("scatter")]
+        assert any(np.allclose(t["y"], RETURNS) for t in returns if len(t.get("y", ())) == 2)
