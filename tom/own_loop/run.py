@@ -40,7 +40,7 @@ from tom.own_loop.resume import cut_back
 from tom.own_loop.rows import AUTORESET, Autoreset, Rows
 from tom.policy.collect import Evaluator
 from tom.policy.stored import StoredPolicy
-from tom.record import RunReader, Store
+from tom.record import RunReader, Store, decode, layout
 from tom.record.files import plain
 from tom.record.manage import rename
 from tom.record.recorder import Recorder
@@ -178,7 +178,7 @@ class OwnRun:
         self.store, self.name, self.path = store, writer.run_id, writer.path
         self.known, self.closed = known, False
         self._low, self._high = (bound.astype(np.float64) for bound in action_bounds(known))
-        self._recorder, self._strict = recorder, strict
+        self._recorder, self._writer, self._strict = recorder, writer, strict
         self.began_at = handed
         """rows handed in before the loop began or went on"""
         self._rows = Rows(known.obs_dim, known.action_dim, self._write, envs, autoreset, handed)
@@ -187,6 +187,7 @@ class OwnRun:
             self._numbers = [RunReader(writer.path).buffer()[1]]
         self._recorded = RunReader(writer.path).buffer_length()
         self._step = 0  # the last that the caller named
+        self._returned = -1  # the last at which the caller gave eval/return
         self._flushed = time.monotonic()
         self._policy: tuple[int, Arrays] | None = None
         self._copier = PolicyCopier(known)
@@ -243,6 +244,8 @@ class OwnRun:
             except (TypeError, ValueError):
                 raise UserError(f"metrics: {name} is {value!r}, not a number") from None
         self._recorder.consume(Metrics(self._at("metrics", step), numbers))
+        if "eval/return" in numbers:
+            self._returned = self._step
 
     @_guarded
     def weights(self, step: int, weights: Any) -> None:
@@ -304,7 +307,8 @@ class OwnRun:
         """Record an evaluation's episode of H steps at env step `step`, to be replayed.
 
         `states` are observations (H + 1, O), or `(qpos, qvel)`, (H + 1, nq) and (H + 1, nv);
-        rewards (H,), actions (H, A), all in the task's own units.
+        rewards (H,), actions (H, A), all in the task's own units. `eval/return` is the mean of the
+        step's episodes, unless `metrics` gave it before.
         """
         reward = np.asarray(rewards, np.float32)
         h, known = len(reward), self.known
@@ -485,4 +489,8 @@ class OwnRun:
     def _evaluated(self, step: int, episodes: Sequence[Episode]) -> None:
         at, earlier = self._episodes
         self._episodes = step, [*(earlier if at == step else ()), *episodes]
-        self._recorder.consume(Evaluation(*self._episodes))
+        if self._returned == step:  # the caller's own number counts
+            arrays = decode.episode_arrays(self._episodes[1])
+            self._writer.arrays(layout.episodes(step), arrays)
+        else:
+            self._recorder.consume(Evaluation(*self._episodes))

@@ -149,10 +149,12 @@ def test_weights_metrics_and_replays_come_back(tmp_path: Path):
     with record("mine", env="Hopper-v5", store=tmp_path) as run:
         played(run, one, 40)
         run.weights(40, given)  # a buffer that has dropped the oldest ten
-        run.metrics(40, {"eval/return": 812.0, "my/loss": np.float32(0.5)})
+        run.metrics(40, {"my/loss": np.float32(0.5)})
         qpos, qvel = np.random.default_rng(0).random((2, 4, 6))
         run.episode(40, (qpos, qvel), [1, 2, 3])
         run.episode(40, qvel[:, :1].repeat(11, 1), [1.0, 2, 6])
+        run.metrics(41, {"eval/return": 812.0})
+        run.episode(41, (qpos, qvel), [1, 2, 3])
     found = loaded(run)
     assert found.name == "mine"
     assert found.reader.env == "hopper"
@@ -167,8 +169,9 @@ def test_weights_metrics_and_replays_come_back(tmp_path: Path):
     np.testing.assert_allclose(first.qpos, qpos, rtol=1e-6)
     np.testing.assert_allclose(first.obs[:, 5:], qvel, rtol=1e-6)
     np.testing.assert_allclose(second.qpos[:, 1:], second.obs[:, :5])
-    assert found.metrics["eval/return"].dropna().tolist() == [(6 + 9) / 2]
-    assert float(found.summary["last_return"]) == (6 + 9) / 2
+    assert len(found.reader.episodes(41)) == 1
+    assert found.metrics["eval/return"].dropna().tolist() == [(6 + 9) / 2, 812]
+    assert float(found.summary["last_return"]) == 812
 
 
 KILLED = """
