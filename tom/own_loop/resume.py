@@ -3,6 +3,7 @@
 Unlike our trainings such a loop has no checkpoint here, so its record is cut by what it says.
 """
 
+import hashlib
 from dataclasses import fields
 from typing import Any
 
@@ -32,7 +33,8 @@ def cut_back(writer: RunWriter, step: int | None = None) -> dict[str, Any]:
         for later in steps:
             if later > last:
                 (writer.path / name(later)).unlink(missing_ok=True)
-    segment, kept = _cut_buffer(writer, reader, last)
+    metrics = writer.path / layout.METRICS
+    kept = metrics.read_bytes()[: lines[0]] if metrics.exists() else b""
     status, table = reader.status, reader.metric_rows()
     walls = table["time/wall_s"].dropna().tolist() if "time/wall_s" in table else []
     return {
@@ -42,8 +44,8 @@ def cut_back(writer: RunWriter, step: int | None = None) -> dict[str, Any]:
         "next_snapshot": 0.0,
         "files": {
             "lines": [*lines, _bytes_up_to(reader, layout.NOTICES, np.inf)],
-            "segment": segment,
-            "segment_rows": kept,
+            "sha256": [hashlib.sha256(kept).hexdigest()],
+            "segment": _cut_buffer(writer, reader, last),
             "latest_snapshot": None,
         },
     }
@@ -60,8 +62,8 @@ def _bytes_up_to(reader: RunReader, name: str, last: float) -> int:
     return size
 
 
-def _cut_buffer(writer: RunWriter, reader: RunReader, last: float) -> tuple[int, int]:
-    """The segment of the buffer in which the cut lies, and the rows that it has afterwards."""
+def _cut_buffer(writer: RunWriter, reader: RunReader, last: float) -> int:
+    """Cut the buffer's segment in which the cut lies; the number of rows that stay in all."""
     first, rows, version = 0, [], []
     for number in layout.numbers(reader.path / layout.BUFFER, ".npz"):
         part, numbers = decode.transitions_of(read_arrays(reader.path / layout.segment(number)))
@@ -70,14 +72,14 @@ def _cut_buffer(writer: RunWriter, reader: RunReader, last: float) -> tuple[int,
         rows.append(part)
         version.append(numbers)
     if not rows:
-        return 0, 0
+        return 0
     whole, numbers = Transitions.concatenate(rows), np.concatenate(version)
     kept = np.flatnonzero(numbers <= last)
     if not len(kept):
-        return first, 0
+        return first
     arrays = {field.name: np.asarray(getattr(whole[kept], field.name)) for field in fields(whole)}
     follows = np.append((arrays["obs"][1:] == arrays["next_obs"][:-1]).all(1), False)
     arrays["truncated"] = arrays["truncated"] | ~(follows | arrays["terminated"])
     # Whole and under its name before the later segments go: a kill may come at any time.
     writer.arrays(layout.segment(first), arrays | {"policy_version": numbers[kept]}, sync=True)
-    return first, len(kept)
+    return first + len(kept)

@@ -42,7 +42,7 @@ from tom.policy.collect import Evaluator
 from tom.policy.stored import StoredPolicy
 from tom.record import RunReader, Store, decode, layout
 from tom.record.files import plain
-from tom.record.manage import rename
+from tom.record.manage import label
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter, TakenError
 
@@ -111,7 +111,7 @@ def opened(
             writer = RunWriter.create(store, name, settings, command=command)
         except TakenError as error:
             raise TakenError(f'{error}, or go on with it: resume="auto"') from None
-        rename(store, name, name)
+        label(store, name, name=name)
         return Recorder(writer), writer, 0
     run = store.run(name)
     same = {"env": settings.env, "learner": settings.learner}

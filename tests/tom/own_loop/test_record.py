@@ -171,7 +171,7 @@ def test_weights_metrics_and_replays_come_back(tmp_path: Path):
     np.testing.assert_allclose(second.qpos[:, 1:], second.obs[:, :5])
     assert len(found.reader.episodes(41)) == 1
     assert found.metrics["eval/return"].dropna().tolist() == [(6 + 9) / 2, 812]
-    assert float(found.summary["last_return"]) == 812
+    assert found.reader.status.last_return == 812
 
 
 KILLED = """
