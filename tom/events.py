@@ -99,6 +99,7 @@ class Collected:
     transitions: Transitions
     policy_version: NDArray[np.int64]  # (n,) which policy collected each row; 0 is exploration
     state: Mapping[str, NDArray] = field(default_factory=dict)  # at obs: qpos (n, nq), qvel (n, nv)
+    behaviour: FloatArray | None = None  # (n, 2 A), as in `ReplayBuffer`; None where nobody knows
 
 
 @dataclass(frozen=True)

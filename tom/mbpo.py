@@ -8,6 +8,7 @@ evaluation curves: this file uses no file, clock or socket.
 """
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from torch import Tensor
 
 from tom.config import OnlineConfig
 from tom.data.replay import ReplayBuffer
-from tom.data.transitions import TensorTransitions, Transitions
+from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.ending import EndingHead
 from tom.envs import Task, task
@@ -31,7 +32,7 @@ from tom.events import (
     Tick,
     TrainedPolicy,
 )
-from tom.exams.diagnostics import fit_metrics
+from tom.exams.diagnostics import errors_of_rows, fit_metrics
 from tom.exams.exam import Exam, Fitted, critic_metrics, footprint_metrics, model_metrics
 from tom.learners import make_learner
 from tom.learners.base import FitContext, Weighting, heavy_row
@@ -64,7 +65,9 @@ class Mbpo:
             config.learner, config, obs_dim, action_dim, generator("learner")
         )
         dims, device = (obs_dim, action_dim), config.device
-        self.replay = ReplayBuffer(config.replay_capacity, *dims, device)  # D_env
+        self.replay = ReplayBuffer(  # D_env
+            config.replay_capacity, *dims, device, keeps_behaviour=True
+        )
         kept = config.rollout.kept_at(0, config.fit_every)
         self.model_buffer = ReplayBuffer(kept, *dims, device)  # D_model
         self.env = self.task.make()
@@ -173,13 +176,14 @@ class Mbpo:
         if self.replay.total_added - self._flushed == self.replay.capacity:
             yield from self._flush_collected()  # the next row replaces one that is not recorded
         obs = self._begin_episode() if self._obs is None else self._obs
-        action = self._random_action() if explore else self._policy_action(obs)
+        action, behaviour = (self._random_action(), None) if explore else self._policy_action(obs)
         if self._simulated is not None:
             data = self._simulated.data
             self._states.append((data.qpos.copy(), data.qvel.copy()))
         next_obs, reward, terminated, truncated, _ = self.env.step(action)
         version = 0 if explore else self.policy_version
-        self.replay.add(obs, action, float(reward), next_obs, terminated, truncated, version)
+        ends = terminated, truncated
+        self.replay.add(obs, action, float(reward), next_obs, *ends, version, behaviour)
         self.env_step += 1
         self._episode_return += float(reward)
         self._episode_length += 1
@@ -248,16 +252,19 @@ class Mbpo:
             ]
         return state
 
-    def load_state_dict(
-        self, state: dict[str, Any], collected: Transitions, policy_version: np.ndarray
-    ) -> None:
+    def load_state_dict(self, state: dict[str, Any], collected: Collected) -> None:
         """Continue from `state_dict`; `collected` are all rows recorded before it, in order."""
         self.env_step, self.policy_version = state["env_step"], state["policy_version"]
         config = self.config
         self.model_buffer.resize(config.rollout.kept_at(self._on_policy_steps, config.fit_every))
         for part in ("sac", "model", "learner", "streams", "model_buffer"):
             getattr(self, part).load_state_dict(state[part])
-        self.replay.extend(collected.torch(), torch.from_numpy(policy_version))
+        known = collected.behaviour
+        self.replay.extend(
+            collected.transitions.torch(),
+            torch.from_numpy(collected.policy_version),
+            None if known is None else torch.from_numpy(known),
+        )
         self._flushed = state["collected"]
         self.replay.restore_tail(state["uncollected"])
         self.env.reset()  # a wrapper needs a reset before its counters can be restored
@@ -305,20 +312,23 @@ class Mbpo:
         action = self.streams.numpy("explore").uniform(-1.0, 1.0, self.task.action_dim)
         return action.astype(np.float32)
 
-    def _policy_action(self, obs: np.ndarray) -> np.ndarray:
-        seen = torch.as_tensor(obs, dtype=torch.float32)[None].to(self.streams.device)
-        return self.policy(seen, 1, self.streams.torch("act"))[0, 0].cpu().numpy()
+    def _policy_action(self, obs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        seen = torch.as_tensor(obs, dtype=torch.float32).to(self.streams.device)
+        return self.policy.act(seen, self.streams.torch("act"))
 
     def _fit_context(self) -> FitContext:
+        replay = self.replay.transitions()
         return FitContext(
-            replay=self.replay.transitions(),
+            replay=replay,
             policy_version=self.replay.policy_version(),
+            behaviour=self.replay.behaviour(),
             policy_buffer=self.policy_buffer,
             on_policy_steps=self._on_policy_steps,
             initial_obs=torch.as_tensor(np.stack(self._initial_obs)).to(self.streams.device),
             policy=self.policy,
             generator=self.streams.torch("weigh"),
             value_gradient=self.policy.value_gradient,
+            model_errors=partial(errors_of_rows, self.model, replay) if self._fitted else None,
         )
 
     def _flush_collected(self) -> Iterator[Event]:
@@ -329,4 +339,5 @@ class Mbpo:
             parts = [np.stack(part) for part in zip(*self._states, strict=True)]
             self._states = []
             state: dict[str, np.ndarray] = dict(zip(("qpos", "qvel"), parts, strict=False))
-            yield Collected(self.env_step, rows.copy().numpy(), versions, state)
+            behaviour = self.replay.behaviour()[-len(rows) :].cpu().numpy().copy()
+            yield Collected(self.env_step, rows.copy().numpy(), versions, state, behaviour)

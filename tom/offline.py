@@ -8,18 +8,17 @@ files, clocks and sockets.
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from tom.config import RoadConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import uniform_indices
-from tom.data.transitions import Transitions
 from tom.dynamics.linear import LinearModel
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick
+from tom.exams.diagnostics import errors_of_rows
 from tom.learners import follows_value, make_learner
-from tom.learners.base import FitContext, Weighting
+from tom.learners.base import FitContext, Weighting, uniform
 from tom.learners.terms import of_recorded
 from tom.metrics import require_finite
 from tom.policy.foreign import clone
@@ -156,7 +155,13 @@ class Offline:
             policy=clone(footprint, self.streams.torch("clone")),
             generator=self.streams.torch("weigh"),
             value_gradient=self.policy.value_gradient if value_gradient else None,
+            model_errors=self.errors_without_weights,
         )
+
+    def errors_without_weights(self) -> Tensor:
+        """Errors (N,) of the model before any weights: the data is weighed but once."""
+        rows = self.data.rows
+        return errors_of_rows(RoadModel(fit_linear(rows, uniform(rows, ready=True))), rows)
 
     def roll_out_model(self) -> dict[str, float]:
         """Rollouts of the policy in the model from weighted states of the data."""
@@ -231,9 +236,7 @@ class Offline:
             "sac_metrics": self._sac_metrics,
         }
 
-    def load_state_dict(
-        self, state: dict[str, Any], collected: Transitions, policy_version: np.ndarray
-    ) -> None:
+    def load_state_dict(self, state: dict[str, Any], collected: Collected) -> None:
         """Continue from `state_dict`."""
         self.env_step = state["env_step"]
         for part in ("policy", "streams", "model_buffer"):

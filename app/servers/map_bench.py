@@ -12,7 +12,7 @@ from app.servers.browser_bench import Measured
 from app.servers.launcher import Studio, serving
 from tom.data.transitions import Transitions
 from tom.envs import task
-from tom.events import Weights
+from tom.events import Collected, Weights
 from tom.record.status import Status
 from tom.record.store import Store
 from tom.record.writer import RunWriter
@@ -85,7 +85,7 @@ def make_run(store: Path, rows: int, fits: int = 3) -> str:
     action = draw.uniform(-1, 1, (rows, known.action_dim)).astype(np.float32)
     ended = (np.arange(rows) % EPISODE == EPISODE - 1).astype(np.float32)
     recorded = Transitions(obs[:-1], action, obs[:-1, 0], obs[1:], ended * 0, ended)
-    writer.rows(recorded, np.arange(rows) // (rows // 100))
+    writer.rows(Collected(0, recorded, np.arange(rows) // (rows // 100)))
     for i in range(fits):
         end = rows * (i + 1) // fits
         weight = np.exp(obs[:end, 0] + 0.5 * obs[:end, 1] * i)

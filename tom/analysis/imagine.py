@@ -1,37 +1,26 @@
 """A run's dynamics model predicts a recorded episode, given the recorded actions."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from tom.config import ModelConfig
 from tom.data.transitions import Transitions
 from tom.dynamics import make_model
+from tom.dynamics.base import Predictor
 from tom.dynamics.linear import LinearModel
 from tom.envs import ROAD, Task
 from tom.errors import UserError, reason
 from tom.events import Episode
-from tom.exams.diagnostics import row_errors, step_scale
+from tom.exams.diagnostics import errors_of_rows
 from tom.record import RunReader, checkpoint
 from tom.record.task_record import task_of
 from tom.road.agent import RoadModel
 
-BATCH = 4096
-"""rows predicted at once; more do not fit the processor's cache"""
-
 Floats = NDArray[np.float32]
-
-
-class Predictor(Protocol):
-    """A dynamics model as far as this module uses it: its mean."""
-
-    def predict(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """The mean (reward (B,), next_obs (B, O)) for obs (B, O) and action (B, A)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -115,20 +104,9 @@ def imagine(model: Predictor, episode: Episode, horizon: int) -> Imagined:
     return Imagined(obs.numpy(), reward.numpy())
 
 
-@torch.no_grad()
 def step_errors(model: Predictor, transitions: Transitions) -> Floats:
-    """One-step error (N,) of the predicted next state, root mean square over dimensions.
-
-    Each dimension is divided by the standard deviation of its change over these rows, as in
-    `model/error_policy`.
-    """
-    rows = transitions.torch()
-    scale, parts = step_scale(rows), []
-    for first in range(0, len(rows), BATCH):
-        part = rows[first : first + BATCH]
-        _, predicted = model.predict(part.obs, part.action)
-        parts.append(row_errors(predicted - part.next_obs, scale))
-    return torch.cat(parts).numpy() if parts else np.zeros(0, np.float32)
+    """`errors_of_rows` of recorded transitions, (N,)."""
+    return errors_of_rows(model, transitions.torch()).numpy()
 
 
 def joint_positions(known: Task, episode: Episode, obs: NDArray, dt: float, horizon: int) -> Floats:

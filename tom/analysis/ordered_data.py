@@ -26,9 +26,10 @@ class OrderedData:
     """N transitions in the order of collection, actions in [-1, 1]; random data comes first.
 
     `policy_version` (N,) says which policy collected each row. If that is not known, every row has
-    a version of its own, as in SAC, which changes after every step. `initial_obs` (M0, O) are the
-    first observations of the episodes; `card` is that of the ordered rows. `stored`: the rows
-    belong to the run `name` in the store.
+    a version of its own, as in SAC, which changes after every step. `behaviour` (N, 2 A) is the
+    Gaussian of each action (`ReplayBuffer.behaviour`), None if nobody says. `initial_obs` (M0, O)
+    are the first observations of the episodes; `card` is that of the ordered rows. `stored`: the
+    rows belong to the run `name` in the store.
     """
 
     name: str
@@ -41,6 +42,7 @@ class OrderedData:
     stored: bool = False
     policy_distance: NDArray[np.float32] | None = None
     """(N,) to the policy of interest (`tom.policy.stored.distances`), once there is one"""
+    behaviour: Tensor | None = None
 
     def __len__(self) -> int:
         return len(self.transitions)
@@ -77,7 +79,7 @@ def _of_dataset(name: str, env: str) -> OrderedData:
     """The transitions of a dataset, which were recorded in the own units of the task `env`."""
     known = task(env)
     recording = read_dataset(name)
-    rows, version = recording.rows, recording.policy_version
+    rows, version, behaviour = recording.rows, recording.policy_version, recording.behaviour
     _check_dims(name, rows, known)
     _check_bounds(name, np.asarray(rows.action), known)
     unit_obs = known.unit_obs if isinstance(known, GymnasiumTask) else np.asarray
@@ -95,6 +97,7 @@ def _of_dataset(name: str, env: str) -> OrderedData:
         initial_obs=torch.as_tensor(initial_obs(rows)),
         card=of_task(recording.card, known, rows),
         ordered_from=0,
+        behaviour=None if behaviour is None else torch.from_numpy(behaviour),
     )
 
 
@@ -138,7 +141,7 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
             f"run {run.run_id} is of {run.env}, which cannot be weighed: name one of "
             + ", ".join((*ENVS, "any Gymnasium task"))
         )
-    rows, version = run.buffer()
+    rows, version, _, behaviour = run.recorded(states=False)
     if run.problems or not len(rows):
         lacking = "buffer" in run.left_out
         nothing = "left out of this small copy" if lacking else "it collected nothing"
@@ -152,7 +155,7 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
         random_rows = int(run.config.get("ordered_from", 0))
     kept = slice(None) if step is None else _held_at(step, run, len(rows))
     starts = initial_obs(rows[: kept.stop])  # also of episodes whose rows have left the buffer
-    rows, version = rows[kept], version[kept]
+    rows, version, behaviour = rows[kept], version[kept], behaviour[kept]
     random_rows -= kept.start or 0
     first = max(min(random_rows, len(rows) - 1), 0)
     card = card_of_run(rows, known)
@@ -167,6 +170,7 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
         card=card,
         ordered_from=first,
         stored=run.is_run,  # a weighing's folder also holds rows
+        behaviour=torch.from_numpy(behaviour) if np.isfinite(behaviour).any() else None,
     )
 
 
@@ -193,6 +197,7 @@ def after_random(random: OrderedData, ordered: OrderedData) -> OrderedData:
     rows = TensorTransitions.join([random.transitions[:n], ordered.transitions])
     rows.truncated[n - 1] = 1 - rows.terminated[n - 1]
     version = ordered.policy_version - ordered.policy_version.min() + 1
+    own = ordered.behaviour
     return OrderedData(
         name=f"{random.name}+{ordered.name}",
         env=ordered.env,
@@ -201,6 +206,7 @@ def after_random(random: OrderedData, ordered: OrderedData) -> OrderedData:
         initial_obs=torch.as_tensor(initial_obs(rows)),
         card=ordered.card,
         ordered_from=n,
+        behaviour=None if own is None else torch.cat((torch.full_like(own, torch.nan), own)),
     )
 
 

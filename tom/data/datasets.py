@@ -18,7 +18,7 @@ import pyarrow.dataset
 from numpy.typing import NDArray
 
 from tom.data.card import UNORDERED, Card, successive, take
-from tom.data.transitions import Transitions
+from tom.data.transitions import BEHAVIOUR, Transitions
 from tom.data.unpack import DAMAGE, read_columns
 from tom.errors import UserError, reason
 from tom.machine.memory import ran_out
@@ -54,12 +54,14 @@ class Recording:
 
     An episode whose recording stops without a terminal state is marked as truncated, so that a row
     after a terminated or truncated one always starts an episode. Numbers have the precision of the
-    file, actions the recorded task's own units. `policy_version` (N,) is None if it is not known.
+    file, actions the recorded task's own units. `policy_version` (N,) and `behaviour` (N, 2 A, the
+    columns of BEHAVIOUR) are None if they are not known.
     """
 
     rows: Transitions
     card: Card
     policy_version: NDArray[np.int64] | None = None
+    behaviour: NDArray[np.float32] | None = None
 
 
 def read_dataset(path: str | Path) -> Recording:
@@ -124,7 +126,7 @@ def _columns_of(path: Path) -> Columns:
 
 
 def _is_wanted(name: str) -> bool:
-    return ALIASES.get(name, name) in (*AXES, VERSION)
+    return ALIASES.get(name, name) in (*AXES, VERSION, *BEHAVIOUR)
 
 
 def _parquet(path: Path) -> Columns:
@@ -288,7 +290,7 @@ def _way_on(names: set[str]) -> str:
 
 def _numbers(where: str | Path, name: str, values: NDArray) -> NDArray:
     """A column of numbers in its own precision; a trailing axis of length one may be dropped."""
-    axes = AXES.get(ALIASES.get(name, name), 1)
+    axes = 2 if name in BEHAVIOUR else AXES.get(ALIASES.get(name, name), 1)
     if axes == 1 and values.ndim == 2 and values.shape[1] == 1:
         values = values[:, 0]
     if values.ndim != axes or values.dtype.kind not in "biuf":
@@ -310,11 +312,13 @@ def _assembled(path: Path, columns: Columns) -> Recording:
     marked as truncated.
     """
     for name, values in columns.items():
-        _check_values(path, name, values)
+        if name not in BEHAVIOUR:  # NaN where nobody knows
+            _check_values(path, name, values)
     obs, action, reward, flag = (columns[n] for n in ("obs", "action", "reward", "terminated"))
     terminated, next_obs = flag != 0, columns.get("next_obs")
     version = columns.get(VERSION)
     version = None if version is None else version.astype(np.int64)
+    behaviour = _behaviour(path, columns)
     if "truncated" in columns:
         cut = columns["truncated"] != 0
     else:
@@ -326,7 +330,7 @@ def _assembled(path: Path, columns: Columns) -> Recording:
         raw = Transitions(obs, action, reward, next_obs, terminated, cut)
         resolved = cut & ~terminated
         resolved[-1] = not terminated[-1]
-        return Recording(replace(raw, truncated=resolved), take(raw), version)
+        return Recording(replace(raw, truncated=resolved), take(raw), version, behaviour)
     ends = terminated | cut
     ends[-1] = True
     kept = np.flatnonzero(~ends)
@@ -338,7 +342,21 @@ def _assembled(path: Path, columns: Columns) -> Recording:
     never = np.zeros(len(kept), bool)
     rows = Transitions(obs[kept], action[kept], reward[kept], obs[kept + 1], never, ends[kept + 1])
     card = replace(take(rows, ordered=False), lost=int(terminated.sum()))
-    return Recording(rows, card, None if version is None else version[kept])
+    of_kept = (None if each is None else each[kept] for each in (version, behaviour))
+    return Recording(rows, card, *of_kept)
+
+
+def _behaviour(path: Path, columns: Columns) -> NDArray[np.float32] | None:
+    """The columns of BEHAVIOUR side by side, (N, 2 A). Raises UserError if they are not whole."""
+    parts = [columns[name] for name in BEHAVIOUR if name in columns]
+    if not parts:
+        return None
+    if len(parts) == 1 or any(part.shape != columns["action"].shape for part in parts):
+        raise UserError(
+            f"{path}: {' and '.join(BEHAVIOUR)} must both be there, each of the shape of 'action' "
+            f"{columns['action'].shape}: the mean and the log standard deviation before tanh"
+        )
+    return np.concatenate(parts, 1).astype(np.float32)
 
 
 def _check_values(path: Path, name: str, values: NDArray) -> None:

@@ -1,5 +1,6 @@
 """A first-in-first-out buffer of transitions: the replay, the policy and the model buffer."""
 
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -13,19 +14,28 @@ class ReplayBuffer:
     """The last `capacity` transitions added, oldest first.
 
     A transition is one row of a packed float32 tensor (capacity, 2 O + A + 3), so that a minibatch
-    is one `index_select`; a second tensor has the version of the policy that collected each row.
-    Memory is reserved at once but touched row by row. Batches returned without a copy are views of
-    the live rows: they change when the full buffer overwrites them.
+    is one `index_select`. Two more tensors say who collected each row: the version of the policy,
+    and with `keeps_behaviour` the Gaussian that its action was drawn from (`behaviour`). Memory is
+    reserved at once but touched row by row. Batches returned without a copy are views of the live
+    rows: they change when the full buffer overwrites them.
     """
 
     def __init__(
-        self, capacity: int, obs_dim: int, action_dim: int, device: torch.device | str = "cpu"
+        self,
+        capacity: int,
+        obs_dim: int,
+        action_dim: int,
+        device: torch.device | str = "cpu",
+        *,
+        keeps_behaviour: bool = False,
     ) -> None:
         self.capacity = capacity
         self.total_added = 0
         self._dims = (obs_dim, action_dim)
         self._rows = torch.empty(capacity, 2 * obs_dim + action_dim + 3, device=device)
         self._versions = torch.empty(capacity, dtype=torch.int64, device=device)
+        width = 2 * action_dim if keeps_behaviour else 0
+        self._behaviour = torch.empty(capacity, width, device=device)
         self._size = 0
         self._end = 0  # where the next row goes
 
@@ -41,21 +51,31 @@ class ReplayBuffer:
         terminated: bool,
         truncated: bool,
         policy_version: int = 0,
+        behaviour: np.ndarray | None = None,
     ) -> None:
-        """Append one transition: obs and next_obs (O,), action (A,)."""
+        """Append one transition: obs and next_obs (O,), action (A,), behaviour (2 A,)."""
         row = np.concatenate((obs, action, (reward,), next_obs, (terminated, truncated)))
         self._rows[self._end] = torch.from_numpy(row.astype(np.float32))
         # `fill_` because assigning a number on a GPU would first make a tensor of it.
         self._versions[self._end].fill_(policy_version)
+        if behaviour is None:
+            self._behaviour[self._end].fill_(nan)
+        else:
+            self._behaviour[self._end] = torch.from_numpy(behaviour)
         self._advance(1)
 
-    def extend(self, rows: TensorTransitions, policy_version: Tensor | int = 0) -> None:
+    def extend(
+        self,
+        rows: TensorTransitions,
+        policy_version: Tensor | int = 0,
+        behaviour: Tensor | None = None,
+    ) -> None:
         """Append N transitions in order; `policy_version` is (N,) or one for all."""
         if not len(rows):
             return  # a run folder without rows does not know their width
         if isinstance(policy_version, int):  # created on the buffer's device, not copied to it
             policy_version = self._versions.new_full((len(rows),), policy_version)
-        self._extend(rows.packed(), policy_version)
+        self._extend(rows.packed(), policy_version, behaviour)
 
     def transitions(self) -> TensorTransitions:
         """Everything, oldest first; views while the buffer has not wrapped, a copy afterwards."""
@@ -64,6 +84,14 @@ class ReplayBuffer:
     def policy_version(self) -> Tensor:
         """The policy version of every row, oldest first, (N,) int64."""
         return self._ordered(self._versions)
+
+    def behaviour(self) -> Tensor:
+        """The Gaussian before tanh that each row's action was drawn from, oldest first, (N, 2 A).
+
+        Means, then log standard deviations. NaN where there was none (exploration), or it is not
+        known.
+        """
+        return self._ordered(self._behaviour)
 
     def gather(self, index: Tensor) -> TensorTransitions:
         """The rows at `index` (n,), counted from the oldest."""
@@ -83,20 +111,22 @@ class ReplayBuffer:
     def since(self, total: int) -> TensorTransitions:
         """The rows added after the first `total` ever added, as far as they are still held.
 
-        Their policy versions are the last entries of `policy_version()`.
+        Their policy versions and behaviour are the last entries of those.
         """
         return self.last(max(self.total_added - total, 0))
 
     def tail(self, n: int) -> dict[str, Tensor]:
-        """The newest n rows (or all, if there are fewer) and their versions, for `restore_tail`."""
+        """The newest n rows (or all, if there are fewer), for `restore_tail`."""
         first, device = max(self._size - n, 0), self._rows.device
         newest = self._physical(torch.arange(first, self._size, device=device))
         parts = {"rows": self._rows, "policy_version": self._versions}
+        parts["behaviour"] = self._behaviour
         return {name: stored.index_select(0, newest) for name, stored in parts.items()}
 
     def restore_tail(self, tail: dict[str, Tensor]) -> None:
         """Append the rows of `tail`."""
-        self._extend(tail["rows"], tail["policy_version"])
+        # Checkpoints of before 2026-11-27 have no behaviour.
+        self._extend(tail["rows"], tail["policy_version"], tail.get("behaviour"))
 
     def clear(self) -> None:
         """Forget every row; `total_added` goes on counting."""
@@ -111,6 +141,7 @@ class ReplayBuffer:
         self.capacity = capacity
         self._rows = self._rows.new_empty(capacity, self._rows.shape[1])
         self._versions = self._versions.new_empty(capacity)
+        self._behaviour = self._behaviour.new_empty(capacity, self._behaviour.shape[1])
         self.clear()
         self.restore_tail(kept)
         self.total_added = total
@@ -125,15 +156,19 @@ class ReplayBuffer:
         self.restore_tail(state)
         self.total_added = state["total_added"]
 
-    def _extend(self, rows: Tensor, versions: Tensor) -> None:
+    def _extend(self, rows: Tensor, versions: Tensor, behaviour: Tensor | None) -> None:
         skipped = max(len(rows) - self.capacity, 0)
         self.total_added += skipped
         rows, versions = rows[skipped:], versions[skipped:]
+        behaviour = None if behaviour is None else behaviour[skipped:]
         head = min(len(rows), self.capacity - self._end)
         for part in (slice(0, head), slice(head, len(rows))):
             n = part.stop - part.start
             self._rows[self._end : self._end + n] = rows[part]
             self._versions[self._end : self._end + n] = versions[part]
+            self._behaviour[self._end : self._end + n] = (
+                nan if behaviour is None else behaviour[part]
+            )
             self._advance(n)
 
     def _advance(self, n: int) -> None:

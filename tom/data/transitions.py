@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:  # torch takes a second to import, and a reader of runs does without it
     from torch import Tensor
 
+BEHAVIOUR = ("behaviour_mean", "behaviour_log_std")
+"""the arrays, (N, A) each, of the Gaussian before tanh that each row's action was drawn from"""
+
 
 @dataclass(frozen=True)
 class Transitions:

@@ -17,7 +17,15 @@ class FitReport:
     notices: tuple[tuple[str, str], ...] = ()
 
 
-class DynamicsModel(Protocol):
+class Predictor(Protocol):
+    """A dynamics model as far as it predicts: its mean."""
+
+    def predict(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        """The mean (reward (B,), next_obs (B, O)) for obs (B, O) and action (B, A)."""
+        ...
+
+
+class DynamicsModel(Predictor, Protocol):
     """p(reward, next_obs | obs, action), fitted by weighted maximum likelihood."""
 
     def fit(
@@ -34,10 +42,6 @@ class DynamicsModel(Protocol):
         self, obs: Tensor, action: Tensor, generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
         """Draw (reward (B,), next_obs (B, O)) for obs (B, O) and action (B, A)."""
-        ...
-
-    def predict(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """The mean (reward (B,), next_obs (B, O))."""
         ...
 
     def nll(self, rows: TensorTransitions) -> Tensor | None:

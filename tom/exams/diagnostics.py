@@ -13,11 +13,12 @@ from torch import Tensor
 from tom.data.sampling import ess, uniform_indices, zero_share
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
-from tom.dynamics.base import DynamicsModel
+from tom.dynamics.base import DynamicsModel, Predictor
 from tom.learners.base import FitContext, Weighting
 
 ROWS = 2000  # transitions for a one-step error
 HORIZON = 5  # steps of a rollout error
+ROWS_AT_ONCE = 4096  # predicted; more do not fit the processor's cache
 RANKED = 20_000  # transitions for a rank correlation
 
 
@@ -55,6 +56,21 @@ def step_scale(rows: TensorTransitions) -> Tensor:
 def row_errors(error: Tensor, scale: Tensor) -> Tensor:
     """Root mean square (N,) over the dimensions of each of errors (N, O), in units of `scale`."""
     return (error / scale).square().mean(1).sqrt()
+
+
+@torch.no_grad()
+def errors_of_rows(model: Predictor, rows: TensorTransitions) -> Tensor:
+    """One-step error (N,) of the predicted next_obs, root mean square over dimensions.
+
+    Each dimension is divided by the standard deviation of its change over these rows, as in
+    `model/error_policy`.
+    """
+    scale, parts = step_scale(rows), []
+    for first in range(0, len(rows), ROWS_AT_ONCE):
+        part = rows[first : first + ROWS_AT_ONCE]
+        _, predicted = model.predict(part.obs, part.action)
+        parts.append(row_errors(predicted - part.next_obs, scale))
+    return torch.cat(parts) if parts else rows.reward.new_zeros(0)
 
 
 def rms(error: Tensor, scale: Tensor) -> float:

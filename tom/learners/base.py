@@ -55,7 +55,9 @@ class FitContext:
     collected each row (0 is exploration); `policy_buffer` holds the last on-policy transitions
     and `on_policy_steps` counts how many there have been; `initial_obs` are draws of the start
     distribution mu_0. `value_gradient` gives dV_k/ds of the K value heads at (B, O) states,
-    (K, B, O), where the policy optimiser has value heads.
+    (K, B, O), where the policy optimiser has value heads. `behaviour` is the Gaussian that each
+    row's action was drawn from (`ReplayBuffer.behaviour`), where the data has it. `model_errors`
+    gives the last model's error at each row (N,), once there is a model.
     """
 
     replay: TensorTransitions
@@ -66,6 +68,8 @@ class FitContext:
     policy: Policy
     generator: torch.Generator
     value_gradient: Callable[[Tensor], Tensor] | None = None
+    behaviour: Tensor | None = None  # (N, 2 A)
+    model_errors: Callable[[], Tensor] | None = None
 
 
 @dataclass(frozen=True)

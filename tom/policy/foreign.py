@@ -83,6 +83,16 @@ class ForeignPolicy:
         mean = torch.tanh(answer[0]) if gaussian else self._action(answer, torch.Generator())
         return mean.clamp(-1, 1)
 
+    def gaussian(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log standard deviation before tanh for obs (B, O): (B, A). Raises UserError."""
+        answer = self._answer(obs.to(torch.float32), torch.Generator().manual_seed(0))
+        if len(answer) == 1 or self._drawn:
+            raise UserError(
+                f"policy {self.name} returns actions: its distance to other policies needs mean "
+                "and log_std"
+            )
+        return answer[0], answer[1]
+
     def facts(self, obs: Tensor) -> PolicyFacts:
         """What it answers to observations (B, O), for the card. Raises UserError."""
         generator = torch.Generator().manual_seed(0)

@@ -5,6 +5,7 @@ from math import log
 from typing import Any, NamedTuple
 
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import relu, softplus
 
@@ -178,20 +179,32 @@ class Actor:
     @torch.no_grad()
     def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
         """n sampled actions for obs (B, O): (n, B, A)."""
-        mean, log_std = self._gaussian(obs)
+        mean, log_std = self.gaussian(obs)
         noise = torch.randn(n, *mean.shape, generator=generator, device=generator.device)
         return torch.tanh(mean + log_std.exp() * noise)
 
     @torch.no_grad()
+    def act(self, obs: Tensor, generator: torch.Generator) -> tuple[NDArray, NDArray]:
+        """An action (A,) for obs (O,), and the Gaussian (2 A,) that it was drawn from.
+
+        Draws what `__call__` draws.
+        """
+        mean, log_std = self.gaussian(obs[None])
+        noise = torch.randn(mean.shape, generator=generator, device=generator.device)
+        action = torch.tanh(mean + log_std.exp() * noise)
+        return action[0].cpu().numpy(), torch.cat((mean, log_std), 1)[0].cpu().numpy()
+
+    @torch.no_grad()
     def mean(self, obs: Tensor) -> Tensor:
         """Mean actions for obs (B, O): (B, A)."""
-        return torch.tanh(self._gaussian(obs)[0])
+        return torch.tanh(self.gaussian(obs)[0])
 
     def hidden(self, obs: Tensor) -> Tensor:
         """The actor's last hidden layer for obs (B, O): (B, H)."""
         return self._actor.hidden(0, obs.to(self._actor.layers[0][0].device))
 
-    def _gaussian(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+    def gaussian(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log standard deviation of the Gaussian before tanh for obs (B, O): (B, A)."""
         obs = obs.to(self._actor.layers[0][0].device)
         return _gaussian(self._actor.member(0, obs))
 
@@ -206,7 +219,7 @@ class ActorCritic(Actor):
     @torch.no_grad()
     def draw(self, obs: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """A sampled action (B, A) for each of obs (B, O), and its log_prob (B,)."""
-        mean, log_std = self._gaussian(obs)
+        mean, log_std = self.gaussian(obs)
         noise = torch.randn(*mean.shape, generator=generator, device=generator.device)
         action, log_prob = squashed_gaussian(mean, log_std, noise)
         return action, log_prob.squeeze(-1)
@@ -224,7 +237,7 @@ class ActorCritic(Actor):
         return torch.stack(heads)
 
     def _values(self, obs: Tensor) -> Tensor:
-        return self._heads(obs, torch.tanh(self._gaussian(obs)[0]))
+        return self._heads(obs, torch.tanh(self.gaussian(obs)[0]))
 
     def _heads(self, obs: Tensor, action: Tensor) -> Tensor:
         x = torch.cat([obs, action], -1)

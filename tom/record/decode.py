@@ -15,9 +15,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from tom.data.transitions import Transitions
+from tom.data.transitions import BEHAVIOUR, Transitions
 from tom.data.unpack import read_columns
-from tom.events import Episode
+from tom.events import Collected, Episode
 
 Arrays = Mapping[str, NDArray]
 
@@ -78,19 +78,29 @@ STATE = "state_"
 """prefix of the arrays of the simulator's state in `buffer/<first row>.npz`"""
 
 
-def transition_arrays(
-    rows: Transitions, policy_version: NDArray, state: Arrays | None = None
-) -> dict[str, NDArray]:
+def transition_arrays(collected: Collected) -> dict[str, NDArray]:
     """The arrays of `buffer/<first row>.npz`: float32, flags as booleans."""
+    rows = collected.transitions
     arrays = {f.name: np.asarray(getattr(rows, f.name), np.float32) for f in fields(rows)}
     arrays |= {name: arrays[name] != 0 for name in ("terminated", "truncated")}
-    arrays |= {STATE + name: np.asarray(a, np.float32) for name, a in (state or {}).items()}
-    return arrays | {"policy_version": np.asarray(policy_version, np.int64)}
+    arrays |= {STATE + name: np.asarray(a, np.float32) for name, a in collected.state.items()}
+    if collected.behaviour is not None:
+        parts = np.split(np.asarray(collected.behaviour, np.float32), 2, axis=1)
+        arrays |= dict(zip(BEHAVIOUR, parts, strict=True))
+    return arrays | {"policy_version": np.asarray(collected.policy_version, np.int64)}
 
 
 def state_of(arrays: Arrays) -> dict[str, NDArray]:
     """The simulator's states in `buffer/<first row>.npz`, if the run stored them."""
     return {n.removeprefix(STATE): arrays[n] for n in arrays if n.startswith(STATE)}
+
+
+def behaviour_of(arrays: Arrays) -> NDArray[np.float32]:
+    """The behaviour (n, 2 A) in `buffer/<first row>.npz`; NaN if the run did not store it."""
+    if BEHAVIOUR[0] not in arrays:
+        n, width = arrays["action"].shape
+        return np.full((n, 2 * width), np.nan, np.float32)
+    return np.concatenate([arrays[name] for name in BEHAVIOUR], 1).astype(np.float32)
 
 
 def transitions_of(arrays: Arrays) -> tuple[Transitions, NDArray[np.int64]]:

@@ -57,6 +57,8 @@ class Recorded(NamedTuple):
     """(N,) the policy that collected each row; 0 is exploration"""
     state: dict[str, NDArray]
     """the simulator's `qpos` (N, nq) and `qvel` (N, nv) at each row; empty if not stored"""
+    behaviour: NDArray[np.float32]
+    """(N, 2 A) the Gaussian of each action (`ReplayBuffer.behaviour`); NaN if not stored"""
 
 
 def at_or_before(steps: Sequence[int], step: int) -> int:
@@ -252,8 +254,8 @@ class RunReader:
 
     def buffer(self) -> tuple[Transitions, NDArray[np.int64]]:
         """The rows and policy versions of `recorded`, without the memory for the states."""
-        rows, version, _ = self.recorded(states=False)
-        return rows, version
+        recorded = self.recorded(states=False)
+        return recorded.rows, recorded.version
 
     def recorded(self, *, states: bool = True) -> Recorded:
         """The replay buffer.
@@ -263,13 +265,14 @@ class RunReader:
         """
         parts = list(self._segments(states))
         if not parts:
-            return Recorded(*decode.empty_transitions(), {})
-        rows, version, state = zip(*parts, strict=True)
+            return Recorded(*decode.empty_transitions(), {}, np.zeros((0, 0), np.float32))
+        rows, version, state, behaviour = zip(*parts, strict=True)
         kept = set(state[0]).intersection(*state)
         return Recorded(
             Transitions.concatenate(rows),
             np.concatenate(version),
             {name: np.concatenate([part[name] for part in state]) for name in sorted(kept)},
+            np.concatenate(behaviour),
         )
 
     def buffer_length(self) -> int:
@@ -339,7 +342,7 @@ class RunReader:
         def segment(path: Path) -> Recorded:
             arrays = read_arrays(path)
             state = decode.state_of(arrays) if states else {}
-            return Recorded(*decode.transitions_of(arrays), state)
+            return Recorded(*decode.transitions_of(arrays), state, decode.behaviour_of(arrays))
 
         row = 0
         self._read(layout.BUFFER, os.listdir)  # a folder that cannot be listed is no empty one

@@ -142,7 +142,7 @@ class Recorder:
             case Evaluation():
                 self._evaluation(event)
             case Collected():
-                self._writer.rows(event.transitions, event.policy_version, event.state)
+                self._writer.rows(event)
             case Field():
                 self._writer.arrays(layout.field(event.name, event.env_step), event.arrays)
             case Notice():

@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from tom.events import Collected
 from tom.record import checkpoint, decode, layout
 from tom.record.decode import write_table
 from tom.record.files import json_line, plain, replace_json, size_of, whole_folder
@@ -211,9 +212,11 @@ def write_columns(path: Path, columns: Mapping[str, NDArray]) -> None:
 
 
 def _buffer(reader: RunReader, to: Path) -> None:
-    rows, version = reader.buffer()
+    rows, version, _, behaviour = reader.recorded(states=False)
     if len(rows):
-        arrays = decode.without_next_obs(decode.transition_arrays(rows, version))
+        known = behaviour if np.isfinite(behaviour).any() else None
+        collected = Collected(0, rows, version, behaviour=known)
+        arrays = decode.without_next_obs(decode.transition_arrays(collected))
         _save(to / layout.segment(0), arrays, half)
 
 

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from tom import plugins
 from tom.config import RunConfig
 from tom.data.sampling import bin_means, ess, zero_share
-from tom.data.transitions import Transitions
 from tom.errors import DISK_FULL, TryLaterError, UserError
-from tom.events import Weights
+from tom.events import Collected, Weights
 from tom.record import decode, integrity, layout, lock
 from tom.record.decode import NUMBERS, write_table
 from tom.record.files import (
@@ -243,13 +242,14 @@ class RunWriter:
         if keep:
             self._latest_snapshot = None
 
-    def rows(
-        self, rows: Transitions, policy_version: NDArray, state: Mapping[str, NDArray] | None = None
-    ) -> None:
-        """Add rows to the replay buffer on disk, with the simulator's state if there is one."""
-        if not len(rows):
+    def rows(self, new_rows: Collected) -> None:
+        """Add rows to the replay buffer on disk."""
+        if not len(new_rows.transitions):
             return
-        new, name = decode.transition_arrays(rows, policy_version, state), self._tail_first
+        new = decode.transition_arrays(new_rows)
+        if self._tail and self._tail.keys() != new.keys():  # of an earlier version
+            self._end_segment()
+        name = self._tail_first
         if self._tail:
             new = {part: np.concatenate([self._tail[part], new[part]]) for part in new}
         self._tail = new

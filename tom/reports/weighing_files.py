@@ -26,6 +26,7 @@ from tom.data.card import Card
 from tom.data.sampling import bin_means
 from tom.data.unpack import DAMAGE
 from tom.errors import UserError
+from tom.events import Collected
 from tom.learners import LEARNERS
 from tom.record import decode, layout
 from tom.record.decode import NUMBERS, read_table, write_table
@@ -347,12 +348,15 @@ def write_weights(
 
 def _write_rows(folder: Path, data: OrderedData) -> None:
     rows, version = data.transitions.numpy(), data.policy_version.numpy()
+    behaviour = None if data.behaviour is None else data.behaviour.numpy()
     width = 4 * (2 * np.shape(rows.obs)[1] + np.shape(rows.action)[1] + 5)
     at_once = max(SEGMENT_BYTES // width, 1)
     (folder / layout.segment(0)).parent.mkdir()
     for first in range(0, len(rows), at_once):
         part = slice(first, first + at_once)
-        arrays = decode.transition_arrays(rows[part], version[part])
+        known = None if behaviour is None else behaviour[part]
+        collected = Collected(0, rows[part], version[part], behaviour=known)
+        arrays = decode.transition_arrays(collected)
         np.savez(folder / layout.segment(first), allow_pickle=False, **arrays)
     # Readers of runs find the task there.
     assert data.env is not None

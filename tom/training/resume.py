@@ -2,15 +2,13 @@
 
 from typing import Any, Unpack
 
-import numpy as np
 import torch
 from pydantic import ValidationError
 
 from tom import plugins
 from tom.config import OwnLoopConfig, SacRecordingConfig, flat
-from tom.data.transitions import Transitions
 from tom.errors import StartAgainError, TryLaterError, UserError, invalid_value, reason
-from tom.events import Notice
+from tom.events import Collected, Notice
 from tom.learners import with_own_settings
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
@@ -245,7 +243,7 @@ def _restore(
     """Restore `training` from the checkpoint; returns the mark of its record."""
     try:
         state = saved.state["training"]
-        training.load_state_dict(state, *_collected(reader, state["collected"]))
+        training.load_state_dict(state, _collected(reader, saved.env_step, state["collected"]))
         watch.load_state_dict(saved.state["watch"])
         return saved.state["record"]
     except UNFIT as error:
@@ -255,9 +253,9 @@ def _restore(
         ) from error
 
 
-def _collected(reader: RunReader, n: int) -> tuple[Transitions, np.ndarray]:
-    """The first `n` rows of the buffer, with their policy versions."""
-    rows, policy_versions = reader.buffer()
+def _collected(reader: RunReader, env_step: int, n: int) -> Collected:
+    """The first `n` rows of the buffer."""
+    rows, version, _, behaviour = reader.recorded(states=False)
     if len(rows) < n:
         if reader.unread:
             raise TryLaterError(
@@ -268,4 +266,4 @@ def _collected(reader: RunReader, n: int) -> tuple[Transitions, np.ndarray]:
             f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): start it "
             "again"
         )
-    return rows[:n], policy_versions[:n]
+    return Collected(env_step, rows[:n], version[:n], behaviour=behaviour[:n])

@@ -4,13 +4,11 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from typing import Any, Protocol, TypedDict, Unpack
 
-import numpy as np
 import torch
 
 from tom.config import OnlineConfig, RoadConfig, SacRecordingConfig
-from tom.data.transitions import Transitions
 from tom.errors import UserError, reason
-from tom.events import Event, Notice, Tick
+from tom.events import Collected, Event, Notice, Tick
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.mbpo import Mbpo
@@ -34,9 +32,7 @@ class Training(Protocol):
 
     def state_dict(self) -> dict[str, Any]: ...
 
-    def load_state_dict(
-        self, state: dict[str, Any], collected: Transitions, policy_version: np.ndarray
-    ) -> None: ...
+    def load_state_dict(self, state: dict[str, Any], collected: Collected) -> None: ...
 
 
 class RecordingOptions(TypedDict, total=False):

@@ -15,7 +15,6 @@ from torch import Tensor
 from tom.config import SacRecordingConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import uniform_indices
-from tom.data.transitions import Transitions
 from tom.envs import Task, task
 from tom.events import (
     Collected,
@@ -49,15 +48,16 @@ class SacRecording:
         self.evaluator = Evaluator(self.task, config.evaluation.episodes)
         self.env_step = 0
         self.policy_version = 0
+        self._unknown = np.full(2 * self.task.action_dim, np.nan, np.float32)
         self._collector = Collector(self.task, self.streams.integer("random env"))
-        self._collected: list[tuple[Step, int]] = []
+        self._collected: list[tuple[Step, int, NDArray]] = []
         self._sac_metrics: dict[str, Tensor] = {}
 
     def events(self) -> Iterator[Event]:
         """The recording, from the current step to the trained policy."""
         config = self.config
         while self.env_step < config.steps:
-            self._add(self._collector.step(self._random_action()), version=0)
+            self._add(self._collector.step(self._random_action()), 0, self._unknown)
             yield from self._hand_over("explore")
         if self.env_step == config.steps:
             yield from self._flush()
@@ -73,9 +73,14 @@ class SacRecording:
         config = self.config
         taken = self.env_step - config.steps + 1
         explores = taken <= config.exploration_steps
-        action = self._random_action() if explores else self._policy_action(self._collector.obs)
+        if explores:
+            action, behaviour, version = self._random_action(), self._unknown, 0
+        else:
+            obs = torch.as_tensor(self._collector.obs, dtype=torch.float32)
+            action, behaviour = self.policy.act(obs, self.streams.torch("act"))
+            version = self.policy_version
         step = self._collector.step(action)
-        self._add(step, 0 if explores else self.policy_version)
+        self._add(step, version, behaviour)
         self.replay.add(*step[:6])
         if step.ended:
             length = float(step.episode_length)
@@ -117,23 +122,28 @@ class SacRecording:
             "streams": self.streams.state_dict(),
             "collector": self._collector.state_dict(),
             "collected": self.env_step - len(self._collected),
-            "uncollected": [(_plain(step), version) for step, version in self._collected],
+            "uncollected": [
+                (_plain(step), version, torch.from_numpy(behaviour))
+                for step, version, behaviour in self._collected
+            ],
             "sac_metrics": self._sac_metrics,
         }
 
-    def load_state_dict(
-        self, state: dict[str, Any], collected: Transitions, policy_version: np.ndarray
-    ) -> None:
+    def load_state_dict(self, state: dict[str, Any], collected: Collected) -> None:
         """Continue from `state_dict`; `collected` are all rows recorded before it, in order."""
         self.env_step, self.policy_version = state["env_step"], state["policy_version"]
         self.sac.load_state_dict(state["sac"])
         self.streams.load_state_dict(state["streams"])
         self._collector.load_state_dict(state["collector"])
-        self._collected = [(_step(parts), version) for parts, version in state["uncollected"]]
+        self._collected = [
+            # Checkpoints of before 2026-11-27 have no behaviour.
+            (_step(parts), version, behaviour[0].numpy() if behaviour else self._unknown)
+            for parts, version, *behaviour in state["uncollected"]
+        ]
         self._sac_metrics = state["sac_metrics"]
-        self.replay.extend(collected[self.config.steps :].torch())
+        self.replay.extend(collected.transitions[self.config.steps :].torch())
         first = state["collected"]
-        for number, (step, _) in enumerate(self._collected, start=first):
+        for number, (step, *_) in enumerate(self._collected, start=first):
             if number >= self.config.steps:
                 self.replay.add(*step[:6])
 
@@ -143,12 +153,8 @@ class SacRecording:
         action = self.streams.numpy("explore").uniform(-1.0, 1.0, self.task.action_dim)
         return action.astype(np.float32)
 
-    def _policy_action(self, obs: NDArray) -> NDArray[np.float32]:
-        batch = torch.as_tensor(obs, dtype=torch.float32)[None]
-        return self.policy(batch, 1, self.streams.torch("act"))[0, 0].numpy()
-
-    def _add(self, step: Step, version: int) -> None:
-        self._collected.append((step, version))
+    def _add(self, step: Step, version: int, behaviour: NDArray) -> None:
+        self._collected.append((step, version, behaviour))
         self.env_step += 1
 
     def _hand_over(self, phase: str) -> Iterator[Event]:
@@ -160,13 +166,14 @@ class SacRecording:
         """The rows since the last call; an episode cut by the end of its half is truncated."""
         if not self._collected:
             return
-        steps, versions = zip(*self._collected, strict=True)
+        steps, versions, behaviour = zip(*self._collected, strict=True)
         self._collected = []
         state = {name: np.array([getattr(s, name) for s in steps]) for name in ("qpos", "qvel")}
         state = {name: values for name, values in state.items() if values.size}
         at_end = self.env_step in (self.config.steps, self.config.total_steps)
         rows = transitions_of(steps, cut=at_end)
-        yield Collected(self.env_step, rows, np.array(versions, np.int64), state)
+        versions = np.array(versions, np.int64)
+        yield Collected(self.env_step, rows, versions, state, np.stack(behaviour))
 
 
 def _plain(step: Step) -> list[Any]:

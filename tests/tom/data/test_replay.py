@@ -1,6 +1,8 @@
 """ReplayBuffer against a plain list of rows."""
 
 import io
+from collections.abc import Iterable
+from math import nan
 
 import numpy as np
 import torch
@@ -28,6 +30,12 @@ def equal(left: TensorTransitions, right: TensorTransitions) -> bool:
     return all(torch.equal(getattr(left, n), getattr(right, n)) for n in names)
 
 
+def behaviour(numbers: Iterable[int]) -> torch.Tensor:
+    """Recognisable Gaussians; every third is not known."""
+    each = [[nan if k % 3 == 0 else k + i for i in range(2 * ACTION_DIM)] for k in numbers]
+    return torch.tensor(each, dtype=torch.float32).view(-1, 2 * ACTION_DIM)
+
+
 def add_one(buffer: ReplayBuffer, t: TensorTransitions, version: int) -> None:
     n = t.numpy()
     buffer.add(
@@ -38,6 +46,7 @@ def add_one(buffer: ReplayBuffer, t: TensorTransitions, version: int) -> None:
         bool(n.terminated[0]),
         bool(n.truncated[0]),
         version,
+        None if version % 3 == 0 else behaviour([version])[0].numpy(),
     )
 
 
@@ -53,7 +62,7 @@ operation = st.one_of(
 @settings(max_examples=150, deadline=None)
 @given(capacity=st.integers(1, 12), operations=st.lists(operation, max_size=12), data=st.data())
 def test_behaves_as_a_list(capacity, operations, data):
-    buffer = ReplayBuffer(capacity, OBS_DIM, ACTION_DIM)
+    buffer = ReplayBuffer(capacity, OBS_DIM, ACTION_DIM, keeps_behaviour=True)
     model: list[int] = []  # numbers of the rows held, oldest first
     total = 0
     for kind, n in operations:
@@ -62,7 +71,7 @@ def test_behaves_as_a_list(capacity, operations, data):
             model = []
         elif kind == "reload":
             state = buffer.state_dict()
-            buffer = ReplayBuffer(capacity, OBS_DIM, ACTION_DIM)
+            buffer = ReplayBuffer(capacity, OBS_DIM, ACTION_DIM, keeps_behaviour=True)
             buffer.load_state_dict(state)
         elif kind == "resize":
             buffer.resize(n)
@@ -70,7 +79,8 @@ def test_behaves_as_a_list(capacity, operations, data):
         elif kind == "add":
             add_one(buffer, rows(total, 1), total)
         else:
-            buffer.extend(rows(total, n), torch.arange(total, total + n))
+            new = torch.arange(total, total + n)
+            buffer.extend(rows(total, n), new, behaviour(range(total, total + n)))
         if kind in ("add", "extend"):
             model = (model + list(range(total, total + n)))[-capacity:]
             total += n
@@ -79,6 +89,7 @@ def test_behaves_as_a_list(capacity, operations, data):
     held = rows(0, total)[torch.tensor(model, dtype=torch.int64)]
     assert equal(buffer.transitions(), held)
     assert buffer.policy_version().tolist() == model
+    np.testing.assert_array_equal(buffer.behaviour(), behaviour(model))
     n = data.draw(st.integers(0, capacity + 2))
     newest = held[max(len(model) - n, 0) :]
     assert equal(buffer.last(n), newest)
@@ -113,4 +124,5 @@ def test_state_survives_a_safe_load_and_wraps_on_as_before():
         b.extend(rows(8, 3), 9)
     assert equal(buffer.transitions(), other.transitions())
     assert other.policy_version().tolist() == [6, 7, 9, 9, 9]
+    assert other.behaviour().shape == (5, 0)  # which it was not told to keep
     assert other.total_added == 11

@@ -151,7 +151,7 @@ def test_the_buffer_comes_back_in_order_with_its_policies(record):
 def test_a_large_buffer_is_few_files(store: Store):
     writer = RunWriter.create(store, "run", Config)
     for first in range(0, 10_000, 250):
-        writer.rows(transitions(first, 250), np.full(250, first))
+        writer.rows(Collected(0, transitions(first, 250), np.full(250, first)))
     writer.close()
     run = store.run("run")
     assert len(list((run.path / "buffer").iterdir())) == 3

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from recorded import FIT, STEPS, Config, episodes, events, transitions
+from recorded import ACTION, FIT, STEPS, Config, episodes, events, transitions
 
 from tom.analysis.imagine import stored_model
 from tom.errors import UserError
@@ -237,3 +237,16 @@ def test_pictures_are_those_of_the_snapshots(record, tmp_path: Path):
     small = RunReader(export_small(run, tmp_path))
     assert small.field_steps("map") == [500, 1000]
     assert set(small.snapshot_steps()) <= set(run.snapshot_steps())
+
+
+def test_the_policy_that_drew_each_action_stays_in_run_and_copy(record, tmp_path: Path):
+    rows, width = transitions(0, 9), 2 * ACTION
+    behaviour = np.linspace(-3, 3, 9 * width, dtype=np.float32).reshape(9, width)
+    behaviour[:2] = np.nan
+    run = record(given=[Collected(1, rows, np.arange(9), {}, behaviour)])
+    np.testing.assert_array_equal(run.recorded().behaviour, behaviour)
+    small = RunReader(export_small(run, tmp_path))
+    np.testing.assert_allclose(small.recorded().behaviour, behaviour, rtol=1e-3)
+    old = record("old", given=[Collected(1, rows, np.arange(9))])
+    assert np.isnan(old.recorded().behaviour).all()
+    assert old.recorded().behaviour.shape == (9, width)

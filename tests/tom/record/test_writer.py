@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from recorded import Config, transitions
 
+from tom.events import Collected
 from tom.record import Store, layout
 from tom.record.reader import RunReader
 from tom.record.writer import RunWriter
@@ -33,7 +34,7 @@ class Disk:
 
 
 def write(writer: RunWriter, first: int, count: int) -> None:
-    writer.rows(transitions(first, count), np.zeros(count, np.int64))
+    writer.rows(Collected(0, transitions(first, count), np.zeros(count, np.int64)))
 
 
 def held(run: Path) -> list[float]:

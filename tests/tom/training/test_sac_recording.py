@@ -58,7 +58,7 @@ def test_rows_of_an_episode_join_and_the_halves_do_not(recording: RunReader):
 
 
 def test_the_state_of_a_row_gives_its_obs(recording: RunReader):
-    rows, _, state = recording.recorded()
+    rows, _, state, _ = recording.recorded()
     # Hopper's obs: qpos without x, then qvel within +-10.
     expected = np.hstack([state["qpos"][:, 1:], state["qvel"].clip(-10, 10)])
     np.testing.assert_array_equal(rows.obs, expected)
