@@ -223,6 +223,44 @@ class VagramConfig(Config):
     """weights are clipped at this quantile"""
 
 
+class PdmlConfig(Config):
+    """PDML's distance of each historical policy (Wang et al. 2023)."""
+
+    rows_per_policy: Count = 250
+    """on-policy rows, counted from the newest, that count as one policy's (250: a fit's)"""
+    newest_rate: Annotated[float, Field(gt=0, lt=1)] = 0.02
+    """share of all policies' weight that the newest one has at the least"""
+    exploration: Fraction = 0.05
+    """weight of an exploration row over that of a row of the oldest policy"""
+    warmup: Whole = 1000
+    """on-policy rows before it starts; uniform weights until then"""
+
+
+class PolicyDistanceConfig(Config):
+    """Weights by the distance of the policies then and now at each row's own state."""
+
+    floor: Positive = 0.05
+    """divergence that counts as none, in nats: it bounds a row's weight"""
+    warmup: Whole = 1000
+    """on-policy rows before it starts; uniform weights until then"""
+
+
+class PmerConfig(Config):
+    """Rows of large model error more often (Tao et al. 2026)."""
+
+    share: Fraction = 0.5
+    """share of the rows that are drawn by error; the others are drawn uniformly"""
+    sharpness: NonNegative = 1.0
+    """those by error are drawn in proportion to error^sharpness"""
+
+
+class ActionRatioConfig(Config):
+    """The importance ratio of the row's action."""
+
+    clip: Positive = 10.0
+    """ratios are clipped here"""
+
+
 class EvaluationConfig(Config):
     """Evaluation of the policy (mean actions) in a separate environment."""
 

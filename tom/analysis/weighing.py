@@ -6,23 +6,34 @@ come from another library. The policy's footprint is collected in the real envir
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from tom.analysis.ordered_data import OrderedData, action_bounds, after_random, find_run, load_data
-from tom.config import ModelConfig, RunConfig, TomConfig, in_words
+from tom.config import ModelConfig, OnlineConfig, RunConfig, TomConfig, in_words
 from tom.data.card import PolicyFacts
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.base import DynamicsModel
 from tom.envs import GymnasiumTask, Task, task
 from tom.errors import UserError, unknown
+from tom.exams.diagnostics import errors_of_rows
 from tom.exams.energy import footprint_match, step_scaling
-from tom.learners import LEARNERS, follows_value, make_learner, with_own_settings
-from tom.learners.base import FitContext, Weighting
+from tom.learners import (
+    LEARNERS,
+    follows_behaviour,
+    follows_value,
+    make_learner,
+    with_own_settings,
+)
+from tom.learners.base import FitContext, Weighting, uniform
+from tom.learners.behaviour import require_behaviour
 from tom.policy.collect import Footprint, footprint
 from tom.policy.foreign import ForeignPolicy, foreign_policy, is_foreign
 from tom.policy.stored import NAME, StoredPolicy, UniformPolicy, distances, read_policy
@@ -127,6 +138,8 @@ def weigh(
                 f"learner {name} follows a value function, and this policy comes without one: "
                 f"leave {name} out, or name the policy of a newer run"
             )
+        if follows_behaviour(name):
+            require_behaviour(data.policy_version, data.behaviour, policy)
     for seed in seeds:
         made, fresh = (
             made_anew(known, policy, footprint_rows, seed, use, stepped)
@@ -171,8 +184,16 @@ def fit_weights(
             policy=policy,
             generator=streams.torch("weigh"),
             value_gradient=policy.value_gradient,
+            behaviour=data.behaviour,
+            model_errors=partial(errors_without_weights, rows, config),
         )
     )
+
+
+def errors_without_weights(rows: TensorTransitions, config: RunConfig) -> Tensor:
+    """Errors (N,) of a model fitted to the rows without weights, in place of a training's last."""
+    of_model = config.model if isinstance(config, OnlineConfig) else ModelConfig()
+    return errors_of_rows(fit_model(rows, uniform(rows, ready=True), of_model, config.seed), rows)
 
 
 def _weigh(
@@ -246,10 +267,11 @@ def plan_weighing(
     env: str | None = None,
     step: int | None = None,
     random: str | None = None,
+    collected_by: Sequence[str] = (),
     preset: str | None = None,
     settings: Mapping[str, Any],
 ) -> WeighingPlan:
-    """The plan to weigh `data` for `policy`; `tom weigh` documents both.
+    """The plan to weigh `data` for `policy`; `tom weigh` documents all.
 
     `settings` are nested like `RunConfig` and override the preset. Raises UserError, or pydantic's
     ValidationError for a wrong setting.
@@ -269,6 +291,10 @@ def plan_weighing(
         if learner not in LEARNERS:
             raise unknown("learner", learner, LEARNERS)
     by = load_policy(policy, store, known, step)
+    if collected_by:
+        rows = with_collectors(rows, [load_policy(name, store, known) for name in collected_by])
+    if any(follows_behaviour(name) for name in learners):
+        require_behaviour(rows.policy_version, rows.behaviour, by)
     return WeighingPlan(
         data=replace(
             rows,
@@ -284,6 +310,28 @@ def plan_weighing(
         footprint=footprint,
         changed={path: value for path, value in now.items() if before.get(path) != value},
     )
+
+
+def with_collectors(data: OrderedData, policies: Sequence[PolicyOfInterest]) -> OrderedData:
+    """The data with the behaviour of the policies that collected it, the first version's first.
+
+    One policy is that of all rows but exploration. Raises UserError if their number is another than
+    that of the versions, or one is no Gaussian.
+    """
+    obs, versions = data.transitions.obs, data.policy_version
+    known = versions[versions != 0].unique()
+    numbers = (versions != 0).to(torch.int64) if len(policies) == 1 else versions
+    if len(policies) not in (1, len(known)):
+        raise UserError(
+            f"--collected-by names {len(policies)} policies, and {data.name} was collected by "
+            f"{len(known)}: name one for each policy_version above 0, or one for all"
+        )
+    behaviour = obs.new_full((len(obs), 2 * data.transitions.action.shape[1]), torch.nan)
+    for version, policy in zip(numbers[numbers != 0].unique(), policies, strict=True):
+        own = numbers == version
+        gaussian = require_behaviour(versions[:0], None, policy).gaussian(obs[own])
+        behaviour[own] = torch.cat(gaussian, 1)
+    return replace(data, behaviour=behaviour)
 
 
 def asked(policy: PolicyOfInterest, data: OrderedData) -> PolicyFacts | None:

@@ -43,6 +43,10 @@ FOOTPRINT = (
     "se: its standard error over those episodes (-: fewer than five); noise: the distance of two "
     "halves of them"
 )
+COLLECTED_BY = (
+    "policies that collected DATA, one for each policy_version above 0 in order, or one for all: "
+    "for learners that need them, where DATA has no columns behaviour_mean and behaviour_log_std"
+)
 SETTINGS = ("tom.", "pmac.", "vagram.", "threads", "matmul")
 
 
@@ -65,6 +69,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         help="of a run: its buffer and its policy at the model fit of env step N [at the end]",
     )  # fmt: skip
     parser.add_argument("--random", help="random data put first, as much as DATA has")
+    parser.add_argument(
+        "--collected-by", nargs="+", default=[], metavar="POLICY", help=COLLECTED_BY
+    )
     parser.add_argument("--seeds", nargs="+", type=whole(0), default=[0, 1, 2], metavar="N")
     parser.add_argument(
         "--bins", type=whole(1, MOST_BINS), default=100, metavar="N", help="of a profile [100]"
@@ -93,8 +100,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         plan = plan_weighing(
             args.data, args.policy, store, env=args.env, step=args.step, random=args.random,
-            preset=args.preset, settings=overrides(args), learners=args.learner, seeds=args.seeds,
-            footprint=args.footprint,
+            collected_by=args.collected_by, preset=args.preset, settings=overrides(args),
+            learners=args.learner, seeds=args.seeds, footprint=args.footprint,
         )  # fmt: skip
     except ValidationError as error:
         raise one_line(error) from None

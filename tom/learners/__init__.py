@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import create_model
 
-from tom.config import Config, RunConfig
+from tom.config import (
+    ActionRatioConfig,
+    Config,
+    PdmlConfig,
+    PmerConfig,
+    PolicyDistanceConfig,
+    RunConfig,
+)
 from tom.errors import unknown
 
 if TYPE_CHECKING:
@@ -31,11 +38,12 @@ class LearnerEntry:
     `colour` is its colour in every figure. `group` names the settings it reads (a field of
     `RunConfig`); they are shown only for it and distinguish only its runs. `uniform`: all
     transitions have the same weight. `follows_value`: its weights depend on a value function and
-    change with it. `has_terms`: its weights come from a dual Q under `TomConfig`, and their terms
+    change with it. `follows_behaviour`: they need the policy that drew each row's action.
+    `has_terms`: its weights come from a dual Q under `TomConfig`, and their terms
     are recorded (`tom.learners.terms`). `clipped`: the fit clips its weights, as
     `Weighting.clipped` says. `charts` are its own metrics in a run's layout, by title. `settings`
-    change the preset of its online runs. `own` is the class of a plug-in's settings; the
-    configuration of its runs has them as `group` (`with_own_settings`).
+    change the preset of its online runs. `own` is the class of settings that only the configuration
+    of its own runs has, as `group` (`with_own_settings`).
     """
 
     label: str
@@ -44,6 +52,7 @@ class LearnerEntry:
     group: str | None = None
     uniform: bool = False
     follows_value: bool = False
+    follows_behaviour: bool = False
     has_terms: bool = False
     clipped: bool = False
     charts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -81,6 +90,38 @@ def _vagram(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
     return VagramLearner(c.vagram)
 
 
+def _own(c: RunConfig, learner: str) -> Any:
+    """The own settings of a learner; their defaults in the configuration of other learners."""
+    entry = LEARNERS[learner]
+    assert entry.group
+    assert entry.own
+    return getattr(c, entry.group, None) or entry.own()
+
+
+def _pdml(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
+    from tom.learners.pdml import PdmlLearner
+
+    return PdmlLearner(_own(c, "pdml"))
+
+
+def _policy_distance(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
+    from tom.learners.policy_distance import PolicyDistanceLearner
+
+    return PolicyDistanceLearner(_own(c, "policy-distance"))
+
+
+def _pmer(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
+    from tom.learners.pmer import PmerLearner
+
+    return PmerLearner(_own(c, "pmer"))
+
+
+def _action_ratio(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
+    from tom.learners.action_ratio import ActionRatioLearner
+
+    return ActionRatioLearner(_own(c, "action-ratio"))
+
+
 # Colours: at least 3:1 against light and dark; any two differ by 14 or more (CIE 1976) under
 # normal, red-blind, green-blind and blue-blind vision. tests/app/test_theme.py measures both.
 LEARNERS: dict[str, LearnerEntry] = {
@@ -113,6 +154,24 @@ LEARNERS: dict[str, LearnerEntry] = {
         follows_value=True,
         settings={"model": {"kind": "mean-ensemble"}},
     ),
+    "pdml": LearnerEntry("PDML", _pdml, "#a824a8", "pdml", follows_behaviour=True, own=PdmlConfig),
+    "policy-distance": LearnerEntry(
+        "Policy distance",
+        _policy_distance,
+        "#9030fc",
+        "policy_distance",
+        follows_behaviour=True,
+        own=PolicyDistanceConfig,
+    ),
+    "pmer": LearnerEntry("PMER", _pmer, "#a89048", "pmer", own=PmerConfig),
+    "action-ratio": LearnerEntry(
+        "Action ratio",
+        _action_ratio,
+        "#f04890",
+        "action_ratio",
+        follows_behaviour=True,
+        own=ActionRatioConfig,
+    ),
 }
 
 LEARNER_NAMES: tuple[str, ...] = tuple(LEARNERS)
@@ -131,6 +190,11 @@ def learner_rank(learner: str) -> int:
 def follows_value(learner: str) -> bool:
     """Whether its weights change with a value function; those of a baseline, no learner, do not."""
     return learner in LEARNERS and LEARNERS[learner].follows_value
+
+
+def follows_behaviour(learner: str) -> bool:
+    """Whether its weights need the policy that drew each row's action."""
+    return learner in LEARNERS and LEARNERS[learner].follows_behaviour
 
 
 def others_groups(learner: str) -> frozenset[str]:

@@ -15,7 +15,7 @@ from tom.config import OnlineConfig, RoadConfig
 from tom.envs import ENV_NAMES, ROAD, is_known, task, unknown_task
 from tom.envs.termination import rule
 from tom.errors import UserError, invalid_value, unknown
-from tom.learners import LEARNERS, SUBJECT, with_own_settings
+from tom.learners import LEARNERS, SUBJECT, follows_behaviour, with_own_settings
 from tom.road.baselines import BASELINES
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -136,8 +136,13 @@ def default_preset(env: str, learner: str) -> str:
 
 
 def learners(env: str) -> tuple[str, ...]:
-    """The learners of an environment; road-and-rocks also has the baselines of its study."""
-    return (*LEARNERS, *BASELINES) if env == ROAD else tuple(LEARNERS)
+    """The learners of an environment; road-and-rocks also has the baselines of its study.
+
+    Its data does not say which policies drew the actions.
+    """
+    if env != ROAD:
+        return tuple(LEARNERS)
+    return (*(name for name in LEARNERS if not follows_behaviour(name)), *BASELINES)
 
 
 def _online(env: str, learner: str, preset: str) -> OnlineConfig:

@@ -1,6 +1,7 @@
 """`tom weigh` on data and policies that other libraries made."""
 
 import json
+import shutil
 from dataclasses import fields
 from pathlib import Path
 
@@ -35,6 +36,14 @@ class Policy(torch.nn.Module):
 
     def forward(self, obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         mean = 4.0 * obs[:, 1:2]
+        return mean, torch.full_like(mean, -1.0)
+
+
+class Other(torch.nn.Module):
+    """Pushes it away."""
+
+    def forward(self, obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        mean = -obs[:, 1:2]
         return mean, torch.full_like(mean, -1.0)
 
 
@@ -89,6 +98,49 @@ def test_own_data_by_an_own_policy(rows, data: str, policy: str, tmp_path: Path,
     assert weigh(store, data, "--policy", "random", "--env", ENV, "--json") == 0
     other = json.loads(capsys.readouterr().out)
     assert other[ROWS] == report[ROWS]
+
+
+def test_policies_that_collected_the_data_come_from_a_list_or_from_columns(
+    rows: Transitions, policy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    columns = {field.name: np.asarray(getattr(rows, field.name)) for field in fields(rows)}
+    columns["action"] = columns["action"] * BOUND
+    version = np.repeat([0, 3, 4], N // 3)  # exploration, and two policies
+
+    def weights(*words: str, **more: np.ndarray) -> np.ndarray | None:
+        data, out = tmp_path / f"{len(list(tmp_path.iterdir()))}.npz", tmp_path / "out"
+        np.savez(data, allow_pickle=False, policy_version=version, **columns, **more)
+        asked = ["weigh", str(data), "--policy", policy, "--env", ENV, "--out", str(out), *QUICK]
+        learner = ["--learner", "policy-distance", "--policy-distance.warmup", "0"]
+        code = main([*asked, *learner, *words])
+        said = capsys.readouterr().err
+        if code == 0:
+            found = pq.read_table(out / "weights.parquet")["policy-distance-s0"].to_numpy()
+            shutil.rmtree(out)
+            return found
+        assert (code, said.count("\n"), out.exists()) == (2, 1, False)
+        return None
+
+    other = str(tmp_path / "other.pt")
+    torch.jit.script(Other()).save(other)
+    listed = weights("--collected-by", other, policy)
+    assert listed is not None
+    mean = np.where(version[:, None] == 3, -1.0, 4.0) * columns["obs"][:, 1:2]
+    of_rows = {"behaviour_mean": mean, "behaviour_log_std": np.full_like(mean, -1.0)}
+    np.testing.assert_allclose(listed, weights(**of_rows), rtol=1e-5)
+    assert (listed[version == 0] == 0).all()
+    # The policy of interest itself is at distance 0: 1 / .05; the other's KL is (5 x / s)^2 / 2.
+    divergence = (5 * columns["obs"][:, 1] * np.e) ** 2 / 2
+    ratio = (1 / (divergence + 0.05))[version == 3] * 0.05
+    np.testing.assert_allclose(listed[version == 3] / listed[-1], ratio, rtol=1e-4)
+    assert weights() is None
+    assert weights("--collected-by", policy, policy, policy) is None
+    assert weights(behaviour_mean=of_rows["behaviour_mean"]) is None
+    of_rows["behaviour_mean"][N - 1] = np.nan
+    assert weights(**of_rows) is None
+    everywhere = weights("--collected-by", policy)
+    assert everywhere is not None
+    assert np.ptp(everywhere[version > 0]) < 1e-6
 
 
 def test_a_function_beside_a_run(data: str, tmp_path: Path, monkeypatch, capsys):

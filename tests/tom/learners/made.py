@@ -8,7 +8,7 @@ from torch import Tensor
 
 from tom.config import TomConfig
 from tom.data.transitions import TensorTransitions
-from tom.learners.base import FitContext
+from tom.learners.base import FitContext, Policy
 
 OBS, ACTION = 3, 2
 
@@ -40,12 +40,31 @@ def uniform_policy(obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
     return torch.rand(n, len(obs), ACTION, generator=generator) * 2 - 1
 
 
+class LinearGaussian:
+    """A policy whose mean before tanh is the first observations times `slope`."""
+
+    def __init__(self, slope: float = 1.0, log_std: float = -1.0) -> None:
+        self.slope, self.log_std = slope, log_std
+
+    def gaussian(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        mean = self.slope * obs[:, :ACTION]
+        return mean, torch.full_like(mean, self.log_std)
+
+    def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
+        mean, log_std = self.gaussian(obs)
+        noise = torch.randn(n, *mean.shape, generator=generator)
+        return torch.tanh(mean + log_std.exp() * noise)
+
+
 def context(
     replay: TensorTransitions,
     policy_buffer: TensorTransitions | None = None,
     policy_version: Tensor | None = None,
     on_policy_steps: int = 10_000,
     value_gradient: Callable[[Tensor], Tensor] | None = None,
+    behaviour: Tensor | None = None,
+    model_errors: Callable[[], Tensor] | None = None,
+    policy: Policy = uniform_policy,
     seed: int = 0,
 ) -> FitContext:
     n = len(replay)
@@ -57,7 +76,9 @@ def context(
         policy_buffer=replay[: n // 10] if policy_buffer is None else policy_buffer,
         on_policy_steps=on_policy_steps,
         initial_obs=replay.obs[:20],
-        policy=uniform_policy,
+        policy=policy,
         generator=generator(seed),
         value_gradient=value_gradient,
+        behaviour=behaviour,
+        model_errors=model_errors,
     )

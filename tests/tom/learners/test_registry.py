@@ -1,6 +1,6 @@
 import pytest
 import torch
-from made import ACTION, OBS, QUICK, context, generator, rows
+from made import ACTION, OBS, QUICK, LinearGaussian, context, generator, rows
 
 from tom.config import ModelConfig, OnlineConfig, RolloutConfig
 from tom.learners import LEARNER_NAMES, LEARNERS, make_learner
@@ -21,6 +21,9 @@ def test_every_learner_weighs_a_buffer(name):
             rows(100),
             policy_version=version,
             value_gradient=lambda s: torch.ones(2, *s.shape),
+            behaviour=torch.randn(100, 2 * ACTION, generator=generator()),
+            model_errors=lambda: torch.rand(100, generator=generator()),
+            policy=LinearGaussian(),
         )
     )
     assert found.ready
@@ -35,8 +38,11 @@ def test_every_learner_weighs_a_buffer(name):
 @pytest.mark.parametrize("name", LEARNER_NAMES)
 def test_those_that_follow_a_value_function_wait_for_one(name: str):
     learner = make_learner(name, config(name), OBS, ACTION, generator())
-    found = learner.weigh(context(rows(100), policy_version=torch.arange(100) // 25))
-    assert found.ready is not LEARNERS[name].follows_value
+    behaviour = torch.randn(100, 2 * ACTION, generator=generator())
+    version, policy = torch.arange(100) // 25, LinearGaussian()
+    given = context(rows(100), policy_version=version, behaviour=behaviour, policy=policy)
+    found = learner.weigh(given)
+    assert found.ready is not (LEARNERS[name].follows_value or name == "pmer")
 
 
 def test_vagrams_ensemble_is_another_model_unless_the_user_wants_one():

@@ -1,0 +1,45 @@
+"""Action ratio: the importance ratio of each row's action, which needs no network."""
+
+from typing import Any
+
+from torch import Tensor
+
+from tom.config import ActionRatioConfig
+from tom.data.sampling import normalise
+from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
+from tom.learners.behaviour import Behaviour
+
+
+def ratio_weights(log_ratio: Tensor, clip: float) -> Tensor:
+    """min(pi_now(a|s) / pi_then(a|s), clip) from its logarithm (N,)."""
+    return log_ratio.exp().clamp(max=clip)
+
+
+class ActionRatioLearner:
+    """Weights by the action alone: states that the policy has left count as before.
+
+    Uniform, and not ready, as long as there is nothing but exploration.
+    """
+
+    def __init__(self, config: ActionRatioConfig) -> None:
+        self.config = config
+
+    def weigh(self, context: FitContext) -> Weighting:
+        """Raises UserError (`Behaviour.of`)."""
+        if context.on_policy_steps == 0:
+            return uniform(context.replay, ready=False)
+        log_ratio = Behaviour.of(context).log_ratio(context.replay.action)
+        weights, degenerate = normalise(ratio_weights(log_ratio, self.config.clip))
+        clipped = (log_ratio.exp() > self.config.clip).to(log_ratio).mean()
+        return Weighting(
+            weights=weights,
+            ready=not degenerate,
+            metrics={"behaviour/clipped": float(clipped)},
+            notices=(DEGENERATE,) if degenerate else (),
+        )
+
+    def state_dict(self) -> dict[str, Any]:
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        pass
