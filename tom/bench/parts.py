@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from tom.bench.recording import CYCLES, record_run
-from tom.bench.timing import EXAM, Part
-from tom.config import ModelConfig, RolloutConfig, SacConfig, TomConfig
+from tom.bench.timing import DISTANCES, EXAM, Part
+from tom.config import ModelConfig, PolicyDistanceConfig, RolloutConfig, SacConfig, TomConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import WeightedSampler
 from tom.data.transitions import TensorTransitions
@@ -18,6 +18,7 @@ from tom.dynamics import make_model
 from tom.envs import task
 from tom.exams.exam import Exam, Fitted, critic_metrics, footprint_metrics, model_metrics
 from tom.learners.base import FitContext
+from tom.learners.policy_distance import PolicyDistanceLearner
 from tom.learners.tom import TomLearner
 from tom.policy.rollout import roll_out
 from tom.policy.sac import Sac
@@ -38,6 +39,7 @@ def parts() -> Iterator[Part]:
     yield _model_step("mdn")
     yield _model_step("ensemble")
     yield from _tom_steps()
+    yield _distances()
     yield _rollout()
     yield _exam()
     yield _sampling()
@@ -145,6 +147,24 @@ def _tom_steps() -> Iterator[Part]:
         3 * valuing - network_flops(q[:2], 3 * BATCH) + acting * 2 * BATCH / 1000,
     )
     yield Part("weights, 1000 transitions", lambda: weigh(none, WEIGHED), WEIGHED // 1000, each)
+
+
+def _distances() -> Part:
+    data, explored = transitions(40_000), 5000
+    policy = Sac(OBS, ACTION, SacConfig(), torch.Generator().manual_seed(0)).policy
+    context = FitContext(
+        replay=data,
+        policy_version=(torch.arange(len(data)) - explored).clamp(min=0),
+        policy_buffer=data[-1000:],
+        on_policy_steps=len(data) - explored,
+        initial_obs=data.obs[:100],
+        policy=policy,
+        generator=torch.Generator(),
+        behaviour=torch.zeros(len(data), 2 * ACTION),
+    )
+    learner = PolicyDistanceLearner(PolicyDistanceConfig())
+    each = network_flops([OBS, 256, 256, 2 * ACTION], len(data) - explored)
+    return Part(DISTANCES, lambda: learner.weigh(context), flops=each)
 
 
 def _rollout() -> Part:

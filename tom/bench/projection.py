@@ -10,7 +10,8 @@ from math import isfinite
 from typing import Any
 
 from tom.bench.parts import model_flops, rollout_flops, sac_flops
-from tom.config import ModelConfig, OnlineConfig, RolloutConfig, SacConfig
+from tom.bench.timing import DISTANCES, EXAM
+from tom.config import ModelConfig, OnlineConfig, RolloutConfig, SacConfig, TomConfig
 from tom.envs import ENVS, Task, task
 from tom.learners import SUBJECT
 from tom.machine.matmul import cache_file
@@ -59,11 +60,22 @@ def per_step_ms(config: OnlineConfig, task: Task, ms: Mapping[str, float]) -> fl
     rolled = rollout_flops(own, config.sac, *dims) / rollout_flops(kind, SacConfig())
     fit = config.model.rounds * config.model.batches_per_round * model
     if config.learner == SUBJECT:
-        fit += config.tom.q_steps * ms["dual Q step"]
-        fit += config.tom.discriminator_steps * ms["discriminator step"]
-        fit += ms["weights, 1000 transitions"] * config.steps / 2 / 1000  # the buffer's mean size
+        fit += weighing_ms(config.tom, config.steps / 2, ms)  # the buffer's mean size
     fit += ms["rollout, 1000 states"] * rolled * _starts(config.rollout, config.steps) / 1000
     return config.updates_per_step * sac + fit / config.fit_every + ms["Hopper-v5 step"]
+
+
+def weighing_ms(config: TomConfig, rows: float, ms: Mapping[str, float]) -> float:
+    """CPU milliseconds of TOM's weights for a buffer of `rows`."""
+    trained = config.q_steps * ms["dual Q step"]
+    trained += config.discriminator_steps * ms["discriminator step"]
+    return trained + ms["weights, 1000 transitions"] * rows / 1000
+
+
+def beside_ms(ms: Mapping[str, float]) -> dict[str, float]:
+    """What the parts of `tom.bench.timing.PERCENT` are a share of, in CPU milliseconds."""
+    tom = resolve("hopper", SUBJECT, "paper").tom
+    return {EXAM: between_fits_ms(ms), DISTANCES: weighing_ms(tom, 40_000, ms)}
 
 
 def between_fits_ms(ms: Mapping[str, float]) -> float:

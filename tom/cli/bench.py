@@ -114,9 +114,9 @@ def _parts(args: argparse.Namespace) -> Measured:
     timings, gflops = timing.measure(measured, args.repeats, backend)
     ms = {timed.part: timed.ms for timed in timings}
     projection.save_bench(ms)
-    rows, between_ms = [], projection.between_fits_ms(ms)
+    rows, beside_ms = [], projection.beside_ms(ms)
     for timed in timings:
-        wanted, met = timing.target(timed, between_ms) or (None, None)
+        wanted, met = timing.target(timed, beside_ms) or (None, None)
         rows.append({**asdict(timed), "target": wanted, "met": met})
     hours = projection.hours(ms)
     content = {"gflops": gflops, "matmul": backend, "parts": rows, "hours": hours}

@@ -2,12 +2,13 @@
 
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from tom.config import ActionRatioConfig
 from tom.data.sampling import normalise
 from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
-from tom.learners.behaviour import Behaviour
+from tom.learners.behaviour import Behaviour, explored_rows
 
 
 def ratio_weights(log_ratio: Tensor, clip: float) -> Tensor:
@@ -28,7 +29,8 @@ class ActionRatioLearner:
         """Raises UserError (`Behaviour.of`)."""
         if context.on_policy_steps == 0:
             return uniform(context.replay, ready=False)
-        log_ratio = Behaviour.of(context).log_ratio(context.replay.action)
+        every = torch.ones_like(explored_rows(context))
+        log_ratio = Behaviour.of(context, every).log_ratio(context.replay.action)
         weights, degenerate = normalise(ratio_weights(log_ratio, self.config.clip))
         clipped = (log_ratio.exp() > self.config.clip).to(log_ratio).mean()
         return Weighting(

@@ -17,7 +17,7 @@ from tom.errors import UserError
 from tom.learners.base import FitContext
 from tom.nn.mlp import rows_at_once
 
-CHUNK = 4096  # rows evaluated at once; they stay in the processor's cache
+CHUNK = 1024  # rows evaluated at once; they stay in the processor's cache
 LARGEST = 1 - 2.0**-24
 """actions beyond it, rounded to 1 in single precision, are taken for it"""
 MISSING = (
@@ -38,39 +38,37 @@ class GaussianPolicy(Protocol):
 
 @dataclass(frozen=True)
 class Behaviour:
-    """The policies now and then at the state of each of N rows, (N, A) each."""
+    """The policies now and then at the state of each of K rows, (K, A) each."""
 
     mean: Tensor
     log_std: Tensor
     mean_then: Tensor  # NaN in exploration, as the next
     log_std_then: Tensor
-    explored: Tensor  # (N,) bool
+    explored: Tensor  # (K,) bool
 
     @staticmethod
-    def of(context: FitContext) -> "Behaviour":
-        """Those of the rows of `context.replay`.
-
-        Raises UserError (`require_behaviour`).
-        """
-        obs, then = context.replay.obs, context.behaviour
-        explored = context.policy_version.to(obs.device) == 0
+    def of(context: FitContext, rows: Tensor) -> "Behaviour":
+        """Those of `rows` (N,) bool of the replay. Raises UserError (`require_behaviour`)."""
+        obs, then = context.replay.obs[rows], context.behaviour
         policy = require_behaviour(context.policy_version, then, context.policy)
+        explored = explored_rows(context)[rows]
         size = rows_at_once(obs.device, CHUNK)
         with torch.no_grad():
             parts = [policy.gaussian(part) for part in obs.split(size)]
         mean, log_std = (torch.cat(each) for each in zip(*parts, strict=True))
         if then is None:  # exploration alone
-            then = obs.new_full((len(obs), 2 * mean.shape[1]), torch.nan)
-        return Behaviour(mean, log_std, *then.to(obs).chunk(2, 1), explored)
+            then = obs.new_full((len(rows), 2 * mean.shape[1]), torch.nan)
+        mean_then, log_std_then = then.to(obs)[rows].chunk(2, 1)
+        return Behaviour(mean, log_std, mean_then, log_std_then, explored)
 
     def divergence(self) -> Tensor:
-        """KL(pi_now(.|s) || pi_then(.|s)) in nats, (N,); NaN in exploration."""
+        """KL(pi_now(.|s) || pi_then(.|s)) in nats, (K,); NaN in exploration."""
         wider = self.log_std_then - self.log_std
         apart = (self.mean - self.mean_then) * (-self.log_std_then).exp()
         return (wider + 0.5 * ((-2 * wider).exp() + apart.square() - 1)).sum(1)
 
     def log_ratio(self, action: Tensor) -> Tensor:
-        """log pi_now(a|s) - log pi_then(a|s) for actions (N, A) in [-1, 1]: (N,)."""
+        """log pi_now(a|s) - log pi_then(a|s) for actions (K, A) in [-1, 1]: (K,)."""
         u = torch.atanh(action.clamp(-LARGEST, LARGEST))
         now = _log_normal(u, self.mean, self.log_std)
         # The slope of tanh, log(1 - a^2), is in both but where exploration's density is 1/2.
@@ -78,6 +76,11 @@ class Behaviour:
         uniform = log_slope + log(0.5) + 0.5 * log(2 * torch.pi)
         then = _log_normal(u, self.mean_then, self.log_std_then)
         return (now - torch.where(self.explored[:, None], uniform, then)).sum(1)
+
+
+def explored_rows(context: FitContext) -> Tensor:
+    """The rows that exploration collected, (N,) bool."""
+    return context.policy_version.to(context.replay.obs.device) == 0
 
 
 def require_behaviour(

@@ -8,7 +8,7 @@ from torch import Tensor
 from tom.config import PdmlConfig
 from tom.data.sampling import normalise
 from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
-from tom.learners.behaviour import Behaviour
+from tom.learners.behaviour import Behaviour, explored_rows
 
 LEAST = 1e-6
 """distances below it count as it: the policy has not changed"""
@@ -56,13 +56,14 @@ class PdmlLearner:
         """Raises UserError (`Behaviour.of`)."""
         if context.on_policy_steps < max(self.config.warmup, 1):
             return uniform(context.replay, ready=False)
-        both = Behaviour.of(context)
-        number, known = policy_numbers(both.explored, self.config.rows_per_policy), ~both.explored
-        of, bound = number[known], total_variation(both.divergence()[known]).to(torch.float64)
+        explored = explored_rows(context)
+        bound = total_variation(Behaviour.of(context, ~explored).divergence()).to(torch.float64)
+        number = policy_numbers(explored, self.config.rows_per_policy)
+        of = number[~explored]
         count = torch.bincount(of)
         distance = torch.bincount(of, bound) / count
         weight, exploration = policy_weights(distance, count, self.config)
-        rows = torch.where(known, weight[number.clamp(min=0)], exploration)
+        rows = torch.where(explored, exploration, weight[number.clamp(min=0)])
         weights, degenerate = normalise(rows.to(context.replay.obs))
         return Weighting(
             weights=weights,

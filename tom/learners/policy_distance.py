@@ -12,18 +12,19 @@ from torch import Tensor
 from tom.config import PolicyDistanceConfig
 from tom.data.sampling import normalise
 from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
-from tom.learners.behaviour import Behaviour
+from tom.learners.behaviour import Behaviour, explored_rows
 
 
-def distance_weights(divergence: Tensor, explored: Tensor, floor: float) -> Tensor:
-    """1 / (KL(pi_now || pi_then) + floor) for divergences (N,), 0 for exploration rows: (N,)."""
-    return torch.where(explored, torch.zeros_like(divergence), 1 / (divergence + floor))
+def distance_weights(divergence: Tensor, floor: float) -> Tensor:
+    """1 / (KL(pi_now || pi_then) + floor) for divergences of any shape."""
+    return 1 / (divergence + floor)
 
 
 class PolicyDistanceLearner:
-    """Weights by the divergence of two policies at each row's state; it keeps nothing.
+    """Weights by the divergence of two policies at each row's state; none for exploration.
 
-    Uniform, and not ready, until the policy has taken `config.warmup` steps in the environment.
+    It keeps nothing. Uniform, and not ready, until the policy has taken `config.warmup` steps in
+    the environment.
     """
 
     def __init__(self, config: PolicyDistanceConfig) -> None:
@@ -33,15 +34,15 @@ class PolicyDistanceLearner:
         """Raises UserError (`Behaviour.of`)."""
         if context.on_policy_steps < max(self.config.warmup, 1):
             return uniform(context.replay, ready=False)
-        both = Behaviour.of(context)
-        divergence = both.divergence()
-        weights = distance_weights(divergence, both.explored, self.config.floor)
-        weights, degenerate = normalise(weights)
-        known = divergence[~both.explored]
+        chosen = ~explored_rows(context)
+        divergence = Behaviour.of(context, chosen).divergence()
+        raw = torch.zeros_like(context.replay.reward)
+        raw[chosen] = distance_weights(divergence, self.config.floor)
+        weights, degenerate = normalise(raw)
         return Weighting(
             weights=weights,
             ready=not degenerate,
-            metrics={"behaviour/divergence": float(known.median())} if len(known) else {},
+            metrics={"behaviour/divergence": float(divergence.median())} if chosen.any() else {},
             notices=(DEGENERATE,) if degenerate else (),
         )
 

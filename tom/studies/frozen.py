@@ -25,12 +25,13 @@ from tom.analysis.weighing import fit_model, fit_weights
 from tom.config import OnlineConfig
 from tom.data.datasets import initial_obs
 from tom.data.sampling import ess
-from tom.data.transitions import TensorTransitions
+from tom.data.transitions import BEHAVIOUR, TensorTransitions
 from tom.dynamics import DynamicsModel
 from tom.envs import ENVS, ROAD, task, task_rank
 from tom.errors import UserError
 from tom.exams.diagnostics import one_step_error, rollout_error, step_scale, unbroken
 from tom.exams.energy import footprint_match, step_scaling
+from tom.learners import follows_behaviour
 from tom.learners.base import Weighting
 from tom.policy.collect import footprint
 from tom.policy.stored import StoredPolicy, read_policy
@@ -38,7 +39,17 @@ from tom.record import RunReader, Store, layout
 from tom.reports.report import WORDS
 from tom.reports.report import seeds as in_short
 from tom.rng import Streams
-from tom.studies.study import Lab, Row, add_env, add_jobs, add_store, check_known, tasks, whole
+from tom.studies.study import (
+    Lab,
+    Row,
+    add_env,
+    add_jobs,
+    add_store,
+    check_known,
+    say,
+    tasks,
+    whole,
+)
 from tom.training.presets import resolve
 
 NEWEST = 1000  # rows of the policy buffer
@@ -71,6 +82,14 @@ WAYS: dict[str, Way] = {
     "vagram": Way("vagram"),
     "ratio": Way("ratio"),
     "half-ratio": Way("ratio", HALF),
+    "pdml": Way("pdml"),
+    "half-pdml": Way("pdml", HALF),
+    "policy-distance": Way("policy-distance"),
+    "half-policy-distance": Way("policy-distance", HALF),
+    "pmer": Way("pmer"),
+    "half-pmer": Way("pmer", HALF),
+    "action-ratio": Way("action-ratio"),
+    "half-action-ratio": Way("action-ratio", HALF),
     "tom-released": Way("tom", preset="released"),
     "tom-discounted": _tom(q_reset=True),
     "tom-discounted-validated": _tom(**VALIDATED),
@@ -142,14 +161,31 @@ def cases(
     models: Sequence[str] = (),
     rows: int = 6000,
 ) -> list[Case]:
-    """Every way with every seed at every moment of every run."""
+    """Every way with every seed at every moment of every run.
+
+    A run that does not say which policies drew its actions is left out of the ways that need them.
+    Raises UserError if all are left out of all but uniform weights.
+    """
+    needing = [way for way in ways if follows_behaviour(WAYS[way].learner or "")]
+    lacking = [run for run in runs if needing and not keeps_behaviour(run)]
+    if lacking:
+        told = f"{len(lacking)} of {len(runs)} runs do not say which policies drew their actions"
+        if len(lacking) == len(runs) and {UNIFORM, *needing} >= set(ways):
+            raise UserError(f"{told}: record anew, or name other --ways")
+        say(f"{told}: left out of {', '.join(needing)}")
     return [
         Case(run.path, step, way, seed, tuple(models), rows, run.created)
         for run in runs
         for step in moments(run, most)
         for seed in seeds
         for way in ways
+        if run not in lacking or way not in needing
     ]
+
+
+def keeps_behaviour(run: RunReader) -> bool:
+    """Whether the run says which policies drew its actions (`ReplayBuffer.behaviour`)."""
+    return bool(run.arrays(layout.segment(0), lambda name: name in BEHAVIOUR))
 
 
 def examined(case: Case) -> Row:
@@ -209,6 +245,7 @@ def buffer_at(run: RunReader, step: int) -> OrderedData:
         data,
         transitions=rows,
         policy_version=data.policy_version[first:step],
+        behaviour=None if data.behaviour is None else data.behaviour[first:step],
         # Of all episodes begun so far: the first row that is left begins none.
         initial_obs=torch.as_tensor(initial_obs(data.transitions[:step])),
         ordered_from=data.ordered_from - first,

@@ -27,10 +27,20 @@ QUESTIONS: dict[tuple[str, str], str] = {
     ("tom-mended", "ratio"): "Does Q bring something on top of the discriminator?",
     ("tom-mended", "recency"): "Is TOM better than recency, which trains no network?",
     ("half-tom-mended", "half-recency"): "Is it better than recency, if half of either is uniform?",
+    ("policy-distance", "recency"): "Is the policy's distance at each row better than recency?",
+    ("policy-distance", "tom-mended"): "Is it better than TOM mended, which trains two networks?",
+    ("policy-distance", "uniform"): "Is it better than no weights?",
+    ("pmer", "uniform"): "Are rows of large error better than no weights?",
     ("tom-stationary-validated", "tom-stationary"): "Is it better to stop Q on held-out episodes?",
     ("tom-stationary-validated", "tom-discounted-validated"): "Does the flow matter?",
 }
-"""what is asked of two ways: the first one, and the one that it has to beat"""
+"""what is asked of two ways: the first one, and the one that it has to beat
+
+Those of policy distance and PMER were written down on 2026-11-27, before any result was read: on
+the same moments, is policy distance nearer to the policy (`footprint`) than recency and `mended`,
+and is the error of its model there lower than that of uniform weights at 200 x 4 (`capacity`)? Does
+PMER lower that error?
+"""
 
 
 class Signs(NamedTuple):

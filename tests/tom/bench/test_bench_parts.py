@@ -5,14 +5,14 @@ from dataclasses import replace
 import pytest
 
 from tom.bench.parts import model_flops, network_flops, parts, rollout_flops, sac_flops
-from tom.bench.projection import between_fits_ms, hours, per_step_ms
-from tom.bench.timing import EXAM, Timing, target
+from tom.bench.projection import beside_ms, between_fits_ms, hours, per_step_ms
+from tom.bench.timing import DISTANCES, EXAM, Timing, target
 from tom.config import ModelConfig, OnlineConfig, SacConfig
 from tom.envs import ENV_NAMES, task
 from tom.training.presets import resolve
 
 MS = {part.name: 1.0 for part in parts()}
-BETWEEN = 9950.0  # ms from one fit of a training to the next
+BESIDE = {EXAM: 9950.0, DISTANCES: 990.0}  # ms
 
 
 def timing(part: str, ms: float = 1.0, floor: float | None = None, ours: float | None = None):
@@ -34,19 +34,21 @@ def test_the_arithmetic_of_an_update_is_what_is_published():
         (timing("rollout, 1000 states", ms=3.5), False),
         (timing(EXAM, ms=50.0), True),
         (timing(EXAM, ms=150.0), False),
+        (timing(DISTANCES, ms=9.0), True),
+        (timing(DISTANCES, ms=11.0), False),
     ],
 )
 def test_targets_are_met_on_their_own_side(row: Timing, met: bool):
-    wanted = target(row, BETWEEN)
+    wanted = target(row, BESIDE)
     assert wanted is not None
     assert wanted[1] is met
-    assert target(timing("Hopper-v5 step"), BETWEEN) is None
+    assert target(timing("Hopper-v5 step"), BESIDE) is None
 
 
 def test_a_target_that_no_code_could_meet_on_this_machine_says_so():
     row = replace(timing("rollout, 1000 states", ms=8.4), floor_ms=5.21)
-    low = target(replace(row, floor_ms=2.9), BETWEEN)
-    high = target(row, BETWEEN)
+    low = target(replace(row, floor_ms=2.9), BESIDE)
+    high = target(row, BESIDE)
     assert low is not None
     assert high is not None
     assert "5.2" not in low[0]
@@ -61,6 +63,7 @@ def test_the_time_between_two_fits_counts_the_shortest_fit():
     fit = rounds * 100 + tom + 125_000 / 2 / 1000 + 100
     assert between_fits_ms(MS) == pytest.approx(250 * (5 + 1) + fit)
     assert between_fits_ms(MS | {EXAM: 9.0}) == between_fits_ms(MS)
+    assert beside_ms(MS) == {EXAM: between_fits_ms(MS), DISTANCES: 1000 + 100 + 40}
 
 
 def test_every_environment_and_preset_is_projected():

@@ -31,6 +31,10 @@ def given(**changes: object) -> FitContext:
     return context(replay, **usual | changes)  # pyright: ignore[reportArgumentType]
 
 
+def every(asked: FitContext) -> Behaviour:
+    return Behaviour.of(asked, torch.ones(N, dtype=torch.bool))
+
+
 def normals(asked: FitContext) -> tuple[Normal, Normal]:
     """The Gaussians now and then of all rows but exploration, (N - EXPLORED, A)."""
     obs, then = asked.replay.obs[EXPLORED:], asked.behaviour
@@ -42,7 +46,7 @@ def normals(asked: FitContext) -> tuple[Normal, Normal]:
 
 def test_the_divergence_is_that_of_the_gaussians_and_grows_with_age():
     asked = given()
-    found = Behaviour.of(asked).divergence()
+    found = every(asked).divergence()
     assert bool(found[:EXPLORED].isnan().all())
     torch.testing.assert_close(found[EXPLORED:], kl_divergence(*normals(asked)).sum(1))
     assert found[EXPLORED : EXPLORED + 20].mean() > 10 * found[-20:].mean()
@@ -51,7 +55,7 @@ def test_the_divergence_is_that_of_the_gaussians_and_grows_with_age():
 def test_the_ratio_is_that_of_squashed_densities():
     asked = given()
     action = asked.replay.action
-    found = Behaviour.of(asked).log_ratio(action)
+    found = every(asked).log_ratio(action)
     now, then = (
         TransformedDistribution(each, [TanhTransform()]).log_prob(action[EXPLORED:]).sum(1)
         for each in normals(asked)
@@ -66,14 +70,14 @@ def test_the_ratio_is_that_of_squashed_densities():
 def test_an_action_at_its_bound_has_a_finite_ratio():
     replay = rows(N)
     replay.action[:] = 1.0
-    assert bool(Behaviour.of(given()).log_ratio(replay.action).isfinite().all())
+    assert bool(every(given()).log_ratio(replay.action).isfinite().all())
 
 
 def test_the_mean_ratio_of_the_policies_own_actions_is_one():
     """Under the distribution that drew them, E[pi_now / pi_then] = 1 at every state."""
     asked = given()
     assert asked.behaviour is not None
-    both, g, total = Behaviour.of(asked), generator(5), torch.zeros(N, dtype=torch.float64)
+    both, g, total = every(asked), generator(5), torch.zeros(N, dtype=torch.float64)
     for _ in range(4000):
         noise = torch.randn(N, ACTION, generator=g)
         mean, log_std = both.mean_then, both.log_std_then
@@ -100,7 +104,7 @@ def test_pdml_by_a_loop_over_policies():
     bound = (kl_divergence(now, then).sum(1) / 2).sqrt().tolist()
     # From the newest row back: 30, 30, 30 and the oldest 10.
     policies = [bound[70:], bound[40:70], bound[10:40], bound[:10]]
-    of_a_row = [1 / np.mean(each) for each in policies]
+    of_a_row = [len(each) / sum(each) for each in policies]
     others = sum(w * len(each) for w, each in zip(of_a_row[1:], policies[1:], strict=True))
     of_a_row[0] = max(0.4 / 0.6 * others / 30, *of_a_row[1:])
     raw = [0.05 * of_a_row[3]] * EXPLORED
@@ -118,7 +122,7 @@ def test_exploration_between_policies_belongs_to_none():
 
 def test_action_ratios_are_clipped_and_scaled():
     asked = given()
-    log_ratio = Behaviour.of(asked).log_ratio(asked.replay.action)
+    log_ratio = every(asked).log_ratio(asked.replay.action)
     found = ActionRatioLearner(ActionRatioConfig(clip=2.0)).weigh(asked)
     expected = np.minimum(np.exp(log_ratio.numpy()), 2.0)
     np.testing.assert_allclose(found.weights, expected / expected.mean(), rtol=1e-4)
