@@ -41,12 +41,17 @@ from tom.studies.tabular_estimates import (
     problem_of,
     share_on,
 )
+from tom.studies.tabular_ways import exact_ways
 
 JUDGED = VARIANTS[0]
 WAYS = "Ways to estimate: median and worst"
 FLOWS = (
     "Exact weights of each flow, both buffers streams as collected, chi-square: on ends over the "
     "policy's share, mass, and of the policy's own stream, which should weigh one"
+)
+UNTRAINED = (
+    "Exact weights of ways that train no network (replay: a mixture of drifting policies): total "
+    "variation to the policy's stream, weight on ends over its share, effective sample (medians)"
 )
 CAPTION = "Estimated against exact weights; the area is the replay's share"
 
@@ -66,17 +71,18 @@ def find(args: Namespace, lab: Lab) -> Findings:
     same = [one.row for one in every if one.row["same_policy"]]
     rows = [one.row for one in every if not one.row["same_policy"]]
     drawn = [one for one in every if one.row["variant"] == JUDGED.label and one.row not in same]
-    table, flows = summary(rows), exact_flows(args.seeds)
+    table, flows, ways = summary(rows), exact_flows(args.seeds), exact_ways(args.seeds)
     return Findings(
         said=verdict(table),
         files={
             "estimates": rows,
             "summary": table,
             "flows": flows,
+            "ways": ways,
             "weights": _points(drawn),
         },
         figures={"weights": (CAPTION, partial(estimate_figure, drawn))},
-        tables=[Table(WAYS, table), Table(FLOWS, flows)],
+        tables=[Table(WAYS, table), Table(FLOWS, flows), Table(UNTRAINED, ways)],
         checks=acceptance(rows, same),
         origin={"n": f"{len(rows)} estimates", "seeds": in_short(args.seeds)},
     )
