@@ -6,6 +6,7 @@ A learner's file is imported when it is built: whoever only shows runs needs no 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import create_model
@@ -60,76 +61,31 @@ class LearnerEntry:
     own: type[Config] | None = None
 
 
-def _mle(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
-    from tom.learners.mle import MleLearner
+def _built(path: str, group: str | None = None, *, networks: bool = False) -> Build:
+    """Build the learner `module:Class` of this package from its group of settings, if it has one.
 
-    return MleLearner()
+    With `networks` it gets the dimensions and the generator as well.
+    """
 
+    def build(
+        config: RunConfig, obs_dim: int, action_dim: int, generator: "torch.Generator"
+    ) -> "Learner":
+        module, _, name = path.partition(":")
+        settings = [] if group is None else [getattr(config, group)]
+        rest = (obs_dim, action_dim, generator) if networks else ()
+        return getattr(import_module(f"tom.learners.{module}"), name)(*settings, *rest)
 
-def _pmac(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
-    from tom.learners.pmac import PmacLearner
-
-    return PmacLearner(c.pmac)
-
-
-def _tom(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
-    from tom.learners.tom import TomLearner
-
-    return TomLearner(c.tom, o, a, g)
-
-
-def _ratio(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
-    from tom.learners.ratio import RatioLearner
-
-    return RatioLearner(c.tom, o, a, g)
-
-
-def _vagram(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
-    from tom.learners.vagram import VagramLearner
-
-    return VagramLearner(c.vagram)
-
-
-def _own(c: RunConfig, learner: str) -> Any:
-    """The own settings of a learner; their defaults in the configuration of other learners."""
-    entry = LEARNERS[learner]
-    assert entry.group
-    assert entry.own
-    return getattr(c, entry.group, None) or entry.own()
-
-
-def _pdml(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
-    from tom.learners.pdml import PdmlLearner
-
-    return PdmlLearner(_own(c, "pdml"))
-
-
-def _policy_distance(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
-    from tom.learners.policy_distance import PolicyDistanceLearner
-
-    return PolicyDistanceLearner(_own(c, "policy-distance"))
-
-
-def _pmer(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
-    from tom.learners.pmer import PmerLearner
-
-    return PmerLearner(_own(c, "pmer"))
-
-
-def _action_ratio(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
-    from tom.learners.action_ratio import ActionRatioLearner
-
-    return ActionRatioLearner(_own(c, "action-ratio"))
+    return build
 
 
 # Colours: at least 3:1 against light and dark; any two differ by 14 or more (CIE 1976) under
 # normal, red-blind, green-blind and blue-blind vision. tests/app/test_theme.py measures both.
 LEARNERS: dict[str, LearnerEntry] = {
-    "mle": LearnerEntry("MLE", _mle, "#2b6fe0", uniform=True),
-    "pmac": LearnerEntry("PMAC", _pmac, "#0c8577", "pmac"),
+    "mle": LearnerEntry("MLE", _built("mle:MleLearner"), "#2b6fe0", uniform=True),
+    "pmac": LearnerEntry("PMAC", _built("pmac:PmacLearner", "pmac"), "#0c8577", "pmac"),
     "tom": LearnerEntry(
         "TOM",
-        _tom,
+        _built("tom:TomLearner", "tom", networks=True),
         "#c8441c",
         "tom",
         has_terms=True,
@@ -138,35 +94,46 @@ LEARNERS: dict[str, LearnerEntry] = {
             "TOM: discriminator and dual Q": ("discriminator/loss", "dual/loss", "dual/q_mean")
         },
     ),
-    "ratio": LearnerEntry("Ratio", _ratio, "#849060", "tom", clipped=True),
+    "ratio": LearnerEntry(
+        "Ratio", _built("ratio:RatioLearner", "tom", networks=True), "#849060", "tom", clipped=True
+    ),
     "vagram": LearnerEntry(
         "VaGram (MDN)",
-        _vagram,
+        _built("vagram:VagramLearner", "vagram"),
         "#e056c0",
         "vagram",
         follows_value=True,
     ),
     "vagram-ensemble": LearnerEntry(
         "VaGram (Ensemble)",
-        _vagram,
+        _built("vagram:VagramLearner", "vagram"),
         "#bd8d12",
         "vagram",
         follows_value=True,
         settings={"model": {"kind": "mean-ensemble"}},
     ),
-    "pdml": LearnerEntry("PDML", _pdml, "#a824a8", "pdml", follows_behaviour=True, own=PdmlConfig),
+    "pdml": LearnerEntry(
+        "PDML",
+        _built("pdml:PdmlLearner", "pdml"),
+        "#a824a8",
+        "pdml",
+        follows_behaviour=True,
+        own=PdmlConfig,
+    ),
     "policy-distance": LearnerEntry(
         "Policy distance",
-        _policy_distance,
+        _built("policy_distance:PolicyDistanceLearner", "policy_distance"),
         "#9030fc",
         "policy_distance",
         follows_behaviour=True,
         own=PolicyDistanceConfig,
     ),
-    "pmer": LearnerEntry("PMER", _pmer, "#a89048", "pmer", own=PmerConfig),
+    "pmer": LearnerEntry(
+        "PMER", _built("pmer:PmerLearner", "pmer"), "#a89048", "pmer", own=PmerConfig
+    ),
     "action-ratio": LearnerEntry(
         "Action ratio",
-        _action_ratio,
+        _built("action_ratio:ActionRatioLearner", "action_ratio"),
         "#f04890",
         "action_ratio",
         follows_behaviour=True,

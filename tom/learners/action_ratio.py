@@ -1,13 +1,10 @@
 """Action ratio: the importance ratio of each row's action, which needs no network."""
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
 from tom.config import ActionRatioConfig
-from tom.data.sampling import normalise
-from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
+from tom.learners.base import FitContext, Stateless, Weighting, uniform, weighted
 from tom.learners.behaviour import Behaviour, explored_rows
 
 
@@ -16,7 +13,7 @@ def ratio_weights(log_ratio: Tensor, clip: float) -> Tensor:
     return log_ratio.exp().clamp(max=clip)
 
 
-class ActionRatioLearner:
+class ActionRatioLearner(Stateless):
     """Weights by the action alone: states that the policy has left count as before.
 
     Uniform, and not ready, as long as there is nothing but exploration.
@@ -31,17 +28,6 @@ class ActionRatioLearner:
             return uniform(context.replay, ready=False)
         every = torch.ones_like(explored_rows(context))
         log_ratio = Behaviour.of(context, every).log_ratio(context.replay.action)
-        weights, degenerate = normalise(ratio_weights(log_ratio, self.config.clip))
         clipped = (log_ratio.exp() > self.config.clip).to(log_ratio).mean()
-        return Weighting(
-            weights=weights,
-            ready=not degenerate,
-            metrics={"behaviour/clipped": float(clipped)},
-            notices=(DEGENERATE,) if degenerate else (),
-        )
-
-    def state_dict(self) -> dict[str, Any]:
-        return {}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        pass
+        weights = ratio_weights(log_ratio, self.config.clip)
+        return weighted(weights, {"behaviour/clipped": float(clipped)})

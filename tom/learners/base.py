@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from tom.config import ModelConfig, RolloutConfig
+from tom.data.sampling import normalise
 from tom.data.transitions import TensorTransitions
 from tom.events import FloatArray, Weights
 from tom.learners.terms import Terms
@@ -165,6 +166,13 @@ def uniform(replay: TensorTransitions, ready: bool) -> Weighting:
     return Weighting(torch.ones(len(replay), device=replay.obs.device), ready=ready)
 
 
+def weighted(raw: Tensor, metrics: Mapping[str, float] | None = None) -> Weighting:
+    """Weights (N,) of any mean, scaled to 1; uniform, with a notice, if they are degenerate."""
+    weights, degenerate = normalise(raw)
+    notices = (DEGENERATE,) if degenerate else ()
+    return Weighting(weights, ready=not degenerate, metrics=metrics or {}, notices=notices)
+
+
 DEGENERATE = (
     "degenerate-weights",
     "every weight is zero, or some weight is negative or not finite: this fit uses uniform weights",
@@ -188,3 +196,13 @@ class Learner(Protocol):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
         ...
+
+
+class Stateless:
+    """A learner that keeps nothing between fits."""
+
+    def state_dict(self) -> dict[str, Any]:
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        pass

@@ -1,13 +1,10 @@
 """PDML: the rows of a historical policy count by its mean distance to the current one."""
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
 from tom.config import PdmlConfig
-from tom.data.sampling import normalise
-from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
+from tom.learners.base import FitContext, Stateless, Weighting, uniform, weighted
 from tom.learners.behaviour import Behaviour, explored_rows
 
 LEAST = 1e-6
@@ -43,7 +40,7 @@ def policy_weights(distance: Tensor, count: Tensor, config: PdmlConfig) -> tuple
     return weight, config.exploration * weight[-1]
 
 
-class PdmlLearner:
+class PdmlLearner(Stateless):
     """Weights of whole policies; it keeps nothing, for the rows hold their policies.
 
     Uniform, and not ready, until the policy has taken `config.warmup` steps in the environment.
@@ -64,16 +61,4 @@ class PdmlLearner:
         distance = torch.bincount(of, bound) / count
         weight, exploration = policy_weights(distance, count, self.config)
         rows = torch.where(explored, exploration, weight[number.clamp(min=0)])
-        weights, degenerate = normalise(rows.to(context.replay.obs))
-        return Weighting(
-            weights=weights,
-            ready=not degenerate,
-            metrics={"behaviour/policies": float(len(count))},
-            notices=(DEGENERATE,) if degenerate else (),
-        )
-
-    def state_dict(self) -> dict[str, Any]:
-        return {}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        pass
+        return weighted(rows.to(context.replay.obs), {"behaviour/policies": float(len(count))})

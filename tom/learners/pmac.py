@@ -1,13 +1,11 @@
 """PMAC: a transition has more weight if a more recent policy collected it."""
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
 from tom.config import PmacConfig
 from tom.data.sampling import normalise
-from tom.learners.base import FitContext, Weighting
+from tom.learners.base import FitContext, Stateless, Weighting
 
 
 def recency_probabilities(policy_version: Tensor, decay: float) -> Tensor:
@@ -28,7 +26,7 @@ def recency_probabilities(policy_version: Tensor, decay: float) -> Tensor:
     return (share / count)[version]
 
 
-class PmacLearner:
+class PmacLearner(Stateless):
     """Recency weights over policy versions."""
 
     def __init__(self, config: PmacConfig) -> None:
@@ -38,9 +36,3 @@ class PmacLearner:
         p = recency_probabilities(context.policy_version, self.config.decay)
         weights, _ = normalise(p)
         return Weighting(weights.to(context.replay.obs))
-
-    def state_dict(self) -> dict[str, Any]:
-        return {}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        pass

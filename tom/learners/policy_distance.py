@@ -4,14 +4,11 @@ The distance is that at the row's own state. PDML (`tom/learners/pdml.py`) avera
 policy's states.
 """
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
 from tom.config import PolicyDistanceConfig
-from tom.data.sampling import normalise
-from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
+from tom.learners.base import FitContext, Stateless, Weighting, uniform, weighted
 from tom.learners.behaviour import Behaviour, explored_rows
 
 
@@ -20,7 +17,7 @@ def distance_weights(divergence: Tensor, floor: float) -> Tensor:
     return 1 / (divergence + floor)
 
 
-class PolicyDistanceLearner:
+class PolicyDistanceLearner(Stateless):
     """Weights by the divergence of two policies at each row's state; none for exploration.
 
     It keeps nothing. Uniform, and not ready, until the policy has taken `config.warmup` steps in
@@ -38,16 +35,5 @@ class PolicyDistanceLearner:
         divergence = Behaviour.of(context, chosen).divergence()
         raw = torch.zeros_like(context.replay.reward)
         raw[chosen] = distance_weights(divergence, self.config.floor)
-        weights, degenerate = normalise(raw)
-        return Weighting(
-            weights=weights,
-            ready=not degenerate,
-            metrics={"behaviour/divergence": float(divergence.median())} if chosen.any() else {},
-            notices=(DEGENERATE,) if degenerate else (),
-        )
-
-    def state_dict(self) -> dict[str, Any]:
-        return {}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        pass
+        known = {"behaviour/divergence": float(divergence.median())} if chosen.any() else {}
+        return weighted(raw, known)

@@ -6,7 +6,6 @@ policy with shuffled rows (TOM's profile must stay the same; PMAC's must change,
 on the position). The median over TOM's seeds is judged, of the first preset.
 """
 
-import csv
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +25,6 @@ from tom.analysis.progression import DECILES, LATE, Progression, progression, sa
 from tom.analysis.weighing import Weighed, weigh
 from tom.config import RunConfig, TomConfig
 from tom.envs import task
-from tom.learners import LEARNERS
 from tom.policy.stored import NAME, UniformPolicy, read_policy
 from tom.record import RunReader
 from tom.reports.figures import Panel, profile_figure
@@ -79,25 +77,25 @@ def find(args: Namespace, lab: Lab) -> Findings:
         name = f"{case.recording}-{case.condition}-{case.preset}.parquet"
         write_weights(args.out / name, case.weighed)
     found, judged = checks(done), args.preset[0]
-    write_table(args.out, table(found))
+    rows = [
+        {
+            "name": "{recording}, {condition} policy, {learner}, {quantity}".format(**c),
+            "preset": c["preset"],
+            "median": c["median"],
+            "by seed": " ".join(f"{value:.3g}" for value in c["values"]),
+            "bound": _bound(c),
+            "met": c["met"] if c["preset"] == judged else None,
+        }
+        for c in found
+    ]
     caption = "Mean weight along the ordered buffer, single seeds faint"
     drawn = [case for case in done if case.preset == judged]
     return Findings(
         said=verdict([row for row in found if row["preset"] == judged]),
-        files={"profiles": _profiles(done)},
+        files={"profiles": _profiles(done), "checks": rows},
         figures={"progression": (caption, partial(figure, drawn))},
         tables=[],
-        checks=[
-            {
-                "name": "{recording}, {condition} policy, {learner}, {quantity}".format(**c),
-                "preset": c["preset"],
-                "median": c["median"],
-                "by seed": " ".join(f"{value:.3g}" for value in c["values"]),
-                "bound": _bound(c),
-                "met": c["met"] if c["preset"] == judged else None,
-            }
-            for c in found
-        ],
+        checks=rows,
         origin={
             "n": f"{len(runs)} recordings, {len(args.seeds)} seeds of TOM on each",
             "seeds": in_short(args.seeds),
@@ -262,33 +260,8 @@ def verdict(found: Sequence[Row]) -> list[str]:
     return said
 
 
-def table(found: Sequence[Row]) -> list[list[str]]:
-    """The checks as rows of text, titles first, with TOM's presets side by side."""
-    presets = list(dict.fromkeys(c["preset"] for c in found))
-    lines: dict[tuple[str, ...], dict[str, str]] = {}
-    for c in found:
-        if c["learner"] == "pmac" and c["preset"] != presets[0]:
-            continue  # PMAC has no preset
-        learner = LEARNERS[c["learner"]].label
-        key = (c["recording"], c["condition"], learner, c["quantity"], _bound(c))
-        by_seed = " ".join(f"{value:.3g}" for value in c["values"])
-        met = {None: "", True: " yes", False: " **no**"}[c["met"]]
-        lines.setdefault(key, {})[c["preset"]] = f"{c['median']:.3g} ({by_seed}){met}"
-    titles = ["recording", "policy", "learner", "quantity", "bound", *presets]
-    return [titles, *([*key, *(of.get(p, "") for p in presets)] for key, of in lines.items())]
-
-
 def _bound(c: Row) -> str:
     return "" if c["bound"] is None else f"{c['bound'][0]} {c['bound'][1]:g}"
-
-
-def write_table(folder: Path, rows: Sequence[Sequence[str]]) -> None:
-    """Write `checks.csv` and `checks.md`."""
-    with (folder / "checks.csv").open("w", newline="") as file:
-        csv.writer(file).writerows(rows)
-    titles, *rest = (f"| {' | '.join(row)} |" for row in rows)
-    rule = "|" + "---|" * len(rows[0])
-    (folder / "checks.md").write_text("\n".join([titles, rule, *rest]) + "\n")
 
 
 def _profiles(done: Sequence[Result]) -> Iterator[Row]:

@@ -9,7 +9,9 @@ from tom.training.presets import resolve
 
 
 def config(name: str) -> OnlineConfig:
-    return OnlineConfig(env="hopper", learner=name, tom=QUICK)
+    config = resolve("hopper", name, "paper", {"tom": QUICK.model_dump()})
+    assert isinstance(config, OnlineConfig)
+    return config
 
 
 @pytest.mark.parametrize("name", LEARNER_NAMES)
