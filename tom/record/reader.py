@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.config import SAC_ALONE, Settings, completed, in_words
-from tom.data.transitions import Transitions
+from tom.data.transitions import BEHAVIOUR, Transitions
 from tom.data.unpack import DAMAGE, cannot_read_now, read_arrays
 from tom.errors import reason
 from tom.events import Episode
@@ -240,6 +240,14 @@ class RunReader:
         if step is None:
             return self.status.state == "finished" and (self.path / layout.POLICY).is_file()
         return (self.path / layout.policy(step)).is_file()
+
+    def keeps_behaviour(self) -> bool:
+        """Whether the run says which policies drew its actions (`Recorded.behaviour`).
+
+        Reads the names of the first segment's arrays: an older run that was resumed does not.
+        """
+        first = self.path / layout.segment(0)
+        return first.is_file() and bool(self.arrays(layout.segment(0), BEHAVIOUR.__contains__))
 
     def evaluation_steps(self) -> list[int]:
         return layout.numbers(self.path / "episodes", ".npz")

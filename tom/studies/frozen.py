@@ -25,7 +25,7 @@ from tom.analysis.weighing import fit_model, fit_weights
 from tom.config import OnlineConfig
 from tom.data.datasets import initial_obs
 from tom.data.sampling import ess
-from tom.data.transitions import BEHAVIOUR, TensorTransitions
+from tom.data.transitions import TensorTransitions
 from tom.dynamics import DynamicsModel
 from tom.envs import ENVS, ROAD, task, task_rank
 from tom.errors import UserError
@@ -167,7 +167,7 @@ def cases(
     Raises UserError if all are left out of all but uniform weights.
     """
     needing = [way for way in ways if follows_behaviour(WAYS[way].learner or "")]
-    lacking = [run for run in runs if needing and not keeps_behaviour(run)]
+    lacking = [run for run in runs if needing and not run.keeps_behaviour()]
     if lacking:
         told = f"{len(lacking)} of {len(runs)} runs do not say which policies drew their actions"
         if len(lacking) == len(runs) and {UNIFORM, *needing} >= set(ways):
@@ -181,11 +181,6 @@ def cases(
         for way in ways
         if run not in lacking or way not in needing
     ]
-
-
-def keeps_behaviour(run: RunReader) -> bool:
-    """Whether the run says which policies drew its actions (`ReplayBuffer.behaviour`)."""
-    return bool(run.arrays(layout.segment(0), lambda name: name in BEHAVIOUR))
 
 
 def examined(case: Case) -> Row:

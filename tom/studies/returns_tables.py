@@ -20,7 +20,7 @@ from tom.analysis.settings import changed, matters, unlike
 from tom.analysis.statistics import corrected, exchangeable, probability_of_improvement, remark
 from tom.envs import task
 from tom.exams.energy import informative
-from tom.learners import LEARNER_NAMES, LEARNERS
+from tom.learners import LEARNERS
 from tom.learners.base import HEAVY
 from tom.studies.returns_cells import (
     PAPER_ENVS,
@@ -349,7 +349,7 @@ def missing(cells: Sequence[Cell], envs: Sequence[str], learners: Sequence[str])
     """The paper's seeds and steps that the store lacks, with the command that adds them."""
     rows = []
     for env in (env for env in envs if env in PAPER_ENVS):
-        for learner in (name for name in learners if name in LEARNER_NAMES):
+        for learner in (name for name in learners if LEARNERS[name].own is None):
             cell, steps = cell_of(cells, env, learner), task(env).steps
             full = [c for c in cell.curves if c.step[-1] >= steps] if cell else []
             if len(full) < PAPER_SEEDS:

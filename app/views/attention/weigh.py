@@ -12,7 +12,7 @@ from app.views.attention import progress
 from tom.analysis.weighing import POLICIES, PRESETS, RANDOM
 from tom.data.datasets import FORMATS
 from tom.envs import ANY, ENVS, is_code
-from tom.learners import LEARNERS, WEIGHED_FIRST
+from tom.learners import LEARNERS, WEIGHED_FIRST, follows_behaviour
 from tom.record.reader import RunReader
 
 END = "the end"
@@ -33,8 +33,9 @@ def draw(run: RunReader, kept: list[RunReader], *, folded: bool) -> None:
         policy = row[1].selectbox(
             "By the policy of", [*policies, RANDOM, FOREIGN], key="weigh policy"
         )
+        usable = [name for name in LEARNERS if run.keeps_behaviour() or not follows_behaviour(name)]
         learners = row[2].multiselect(
-            "Learners", tuple(LEARNERS), list(WEIGHED_FIRST), key="weigh learners",
+            "Learners", usable, list(WEIGHED_FIRST), key="weigh learners",
             format_func=learner_label,
             filter_mode="contains", select_all=False,
         )  # fmt: skip
@@ -52,6 +53,9 @@ def draw(run: RunReader, kept: list[RunReader], *, folded: bool) -> None:
             st.caption("It runs code of yours, so it is started in a terminal.")
         elif st.button("Weigh", type="primary", disabled=not learners, key="weigh"):
             st.session_state[STARTED] = trainings.start(words)
+        if len(usable) < len(LEARNERS):
+            lacking = ", ".join(learner_label(name) for name in LEARNERS if name not in usable)
+            st.caption(f"{lacking}: this run does not say which policies drew its actions.")
         if run.run_id not in policies and not empty.left_out(run, "policy"):
             st.caption("This run holds no policy of its own: it is written when a run has ended.")
     progress.show(STARTED)

@@ -236,7 +236,8 @@ def test_the_weights_that_are_examined_are_the_fits():
     ids=str,
 )
 def test_a_training_does_not_notice_its_exams(changes: dict, monkeypatch: pytest.MonkeyPatch):
-    config = smoke("tom", steps=330, fit_every=50).but(**changes)
+    rest = {"learner": "tom", "steps": 330, "fit_every": 50, **changes}
+    config = smoke(rest.pop("learner"), **rest)
     kept = list(Mbpo(config).events())
     monkeypatch.setattr(Mbpo, "examine", lambda self: iter(()))
     without = list(Mbpo(config).events())
