@@ -6,7 +6,6 @@ The learner gets the same information as online, the newest transitions of a cha
 tested on fresh episodes of the policy of that fit.
 """
 
-import csv
 import json
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import torch
 from torch import Tensor
 
@@ -28,7 +28,7 @@ from tom.data.sampling import ess
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import DynamicsModel
 from tom.envs import ENVS, ROAD, task, task_rank
-from tom.errors import UserError
+from tom.errors import UserError, reason
 from tom.exams.diagnostics import one_step_error, rollout_error, step_scale, unbroken
 from tom.exams.energy import footprint_match, step_scaling
 from tom.learners import follows_behaviour
@@ -373,16 +373,13 @@ def read_outcomes(path: Path, models: bool) -> list[Row]:
     Raises UserError if `path` cannot be read, is no such table, or lacks the errors of `models`.
     """
     try:
-        with path.open(newline="") as file:
-            outcomes = [
-                {name: KINDS.get(name, float)(text) for name, text in line.items()}
-                for line in csv.DictReader(file)
-            ]
-    except (OSError, UnicodeDecodeError) as error:
+        table = pd.read_csv(path, dtype=KINDS, float_precision="round_trip")
+    except OSError as error:
         raise UserError(f"cannot read {path}: {error}") from error
-    except (TypeError, ValueError, csv.Error) as error:
-        raise UserError(f"{path} is no moments.csv of this study ({error})") from error
-    lacking = {*KINDS, *MEASURES}.difference(*outcomes[:1])
+    except ValueError as error:
+        raise UserError(f"{path} is no moments.csv of this study ({reason(error)})") from error
+    outcomes = [dict(row) for row in table.to_dict("records")]
+    lacking = {*KINDS, *MEASURES}.difference(table) or table.empty
     if lacking or (models and not models_of(outcomes)):
         raise UserError(f"{path} has no outcome of this study: name the moments.csv of its report")
     return outcomes

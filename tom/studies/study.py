@@ -117,22 +117,14 @@ class Study:
 
 def at_least(name: str, value: float, bound: float) -> Row:
     """A number of the acceptance, met if it is at least `bound`; never for NaN."""
-    return {
-        "name": name,
-        "value": float(value),
-        "bound": f">= {bound:g}",
-        "met": bool(value >= bound),
-    }
+    met = bool(value >= bound)
+    return {"name": name, "value": float(value), "bound": f">= {bound:g}", "met": met}
 
 
 def at_most(name: str, value: float, bound: float) -> Row:
     """A number of the acceptance, met if it is at most `bound`; never for NaN."""
-    return {
-        "name": name,
-        "value": float(value),
-        "bound": f"<= {bound:g}",
-        "met": bool(value <= bound),
-    }
+    met = bool(value <= bound)
+    return {"name": name, "value": float(value), "bound": f"<= {bound:g}", "met": met}
 
 
 def whole(least: int) -> Callable[[str], int]:

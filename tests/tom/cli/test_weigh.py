@@ -21,6 +21,7 @@ from tom.data.sampling import bin_means
 from tom.envs import task
 from tom.errors import UserError
 from tom.exams.energy import footprint_match, step_scaling
+from tom.learners import follows_behaviour
 from tom.learners.pmac import recency_probabilities
 from tom.policy.collect import Footprint, footprint
 from tom.policy.stored import UniformPolicy
@@ -159,12 +160,16 @@ def test_same_seed_same_bits(store: Path, tmp_path: Path):
     assert a.equals(b)
 
 
-@pytest.mark.parametrize(("learner", "capacity"), [("pmac", 210), ("vagram", 1000)])
+@pytest.mark.parametrize(
+    ("learner", "capacity"),
+    [("pmac", 210), ("vagram", 1000), ("policy-distance", 210), ("pdml", 1000)],
+)
 def test_at_a_step_the_weights_are_those_that_the_run_had(tmp_path: Path, learner, capacity):
     words = ["--env", "inverted-pendulum", "--learner", learner, "--preset", "smoke"]
     steps = ["--steps", "250", "--fit-every", "20", "--replay-capacity", str(capacity)]
     where = ["--run-id", learner, "--store", str(tmp_path), "--no-rerun"]
-    assert main(["train", *words, *steps, *where]) == 0
+    soon = [f"--{learner}.warmup", "10"] if follows_behaviour(learner) else []
+    assert main(["train", *words, *steps, *where, *soon]) == 0
     run = RunReader(tmp_path / learner)
     assert run.policy_steps() == run.snapshot_steps()
     step = run.policy_steps()[1]

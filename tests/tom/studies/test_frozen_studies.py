@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from commands import code_of
 
 from tom.cli import main
 from tom.config import SacRecordingConfig
+from tom.data.transitions import BEHAVIOUR
+from tom.errors import UserError
 from tom.record import RunReader, Store
 from tom.reports.report import write_csv
 from tom.studies import capacity, footprint, frozen
@@ -20,6 +23,7 @@ from tom.studies.footprint import footprint_figure
 from tom.studies.frozen import (
     Case,
     buffer_at,
+    cases,
     examined,
     moments,
 )
@@ -69,6 +73,29 @@ def test_what_a_way_makes_of_a_moment(run: RunReader):
     for one in (uniform, newest):
         assert 0 < one["error linear"] < 10
     assert uniform["rollout error linear"] != newest["rollout error linear"]
+
+
+def test_a_run_without_its_policies_is_left_out_of_the_ways_that_need_them(
+    run: RunReader, tmp_path: Path
+):
+    old = RunReader(shutil.copytree(run.path, tmp_path / "old"))
+    for path in (old.path / "buffer").iterdir():
+        with np.load(path) as held:
+            kept = {name: held[name] for name in held.files if name not in BEHAVIOUR}
+        np.savez(path, allow_pickle=False, **kept)
+    ways = ("uniform", "policy-distance", "recency", "half-pdml")
+    both = [(one.run.name, one.way) for one in cases([run, old], ways, [0], 1)]
+    assert both == [(run.run_id, way) for way in ways] + [("old", "uniform"), ("old", "recency")]
+    with pytest.raises(UserError):
+        cases([old], ("uniform", "policy-distance"), [0], 1)
+
+
+@pytest.mark.parametrize("way", ["policy-distance", "pdml", "pmer", "action-ratio"])
+def test_ways_that_train_no_network_weigh_a_moment(run: RunReader, way: str):
+    at = moments(run, 1)[0]
+    found = examined(Case(run.path, at, way, rows=300))
+    assert 0 < found["ess"] < 1
+    assert found["footprint"] != 1
 
 
 @pytest.mark.parametrize("way", ["half-recency", "half-ratio"])
