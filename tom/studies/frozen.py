@@ -278,7 +278,7 @@ def fitted(
 
 OF_MEASURING = ("env", "moments", "seeds", "ways", "store", "jobs", "rows", "models")
 """the options that say what is measured and how"""
-KINDS = {"recording": str, "env": str, "step": int, "way": str, "seed": int}
+KINDS: Mapping[Any, Any] = {"recording": str, "env": str, "step": int, "way": str, "seed": int}
 MEASURES = ("ess", "ends", "ends_policy", "footprint", "footprint_uniform", "footprint_noise")
 """the columns of an outcome: the types of those that are no measures, and the measures"""
 MEASURED = "measured: "

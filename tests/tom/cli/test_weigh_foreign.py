@@ -127,7 +127,9 @@ def test_policies_that_collected_the_data_come_from_a_list_or_from_columns(
     assert listed is not None
     mean = np.where(version[:, None] == 3, -1.0, 4.0) * columns["obs"][:, 1:2]
     of_rows = {"behaviour_mean": mean, "behaviour_log_std": np.full_like(mean, -1.0)}
-    np.testing.assert_allclose(listed, weights(**of_rows), rtol=1e-5)
+    of_columns = weights(**of_rows)
+    assert of_columns is not None
+    np.testing.assert_allclose(listed, of_columns, rtol=1e-5)
     assert (listed[version == 0] == 0).all()
     # The policy of interest itself is at distance 0: 1 / .05; the other's KL is (5 x / s)^2 / 2.
     divergence = (5 * columns["obs"][:, 1] * np.e) ** 2 / 2

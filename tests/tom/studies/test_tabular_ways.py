@@ -1,6 +1,6 @@
 """The exact weights of ways that train no network, against streams and plain loops."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import replace
 from math import log, sqrt
 
@@ -73,10 +73,10 @@ def test_exact_measures_are_those_of_streams(past: History, rows: list[tuple[int
     exact = weights_of(past)
     for way, weights in by_hand(past, rows).items():
         total = sum(weights)
-        replay: Counter[tuple[int, ...]] = Counter()
+        replay = defaultdict[tuple[int, ...], float](float)
         for row, weight in zip(rows, weights, strict=True):
             replay[row[1:]] += weight / total
-        apart = sum(abs(replay[row] - own[row] / 400_000) for row in replay | own) / 2
+        apart = sum(abs(replay[row] - own[row] / 400_000) for row in {*replay, *own}) / 2
         ends = sum(share for (_, _, s_next), share in replay.items() if s_next == end)
         found = measures(past, exact[way])
         assert found["distance"] == pytest.approx(apart, abs=0.01), way
