@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import Config, transitions
+from recorded import ACTION, Config, transitions
 
 from tom.events import Collected
 from tom.record import Store, layout
@@ -35,6 +35,19 @@ class Disk:
 
 def write(writer: RunWriter, first: int, count: int) -> None:
     writer.rows(Collected(0, transitions(first, count), np.zeros(count, np.int64)))
+
+
+def test_rows_of_an_earlier_version_are_read_with_those_that_know_their_policy(store: Store):
+    writer = RunWriter.create(store, "run", Config)
+    behaviour = np.arange(5 * 2 * ACTION, dtype=np.float32).reshape(5, -1)
+    write(writer, 0, 10)
+    writer.rows(Collected(0, transitions(10, 5), np.ones(5, np.int64), {}, behaviour))
+    writer.close()
+    found = store.run("run").recorded()
+    np.testing.assert_array_equal(found.rows.reward, np.arange(15))
+    assert np.isnan(found.behaviour[:10]).all()
+    np.testing.assert_array_equal(found.behaviour[10:], behaviour)
+    assert not store.run("run").keeps_behaviour()
 
 
 def held(run: Path) -> list[float]:
