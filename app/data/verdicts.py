@@ -12,14 +12,18 @@ import numpy as np
 
 from app.data import studies
 from app.data.studies import Study
+from tom.learners import LEARNERS
 from tom.readable import percent
 
-LEARNERS = {"TOM": "tom", "MLE": "mle", "PMAC": "pmac", "Ratio": "ratio", "VaGram (MDN)": "vagram",
-            "VaGram (Ensemble)": "vagram-ensemble"}  # fmt: skip
+BY_LABEL = {entry.label: name for name, entry in LEARNERS.items()}
 WAYS = {
     "uniform": "MLE (uniform)", "newest": "newest seventh", "recency": "PMAC (recency)",
     "half-recency": "half PMAC, half uniform", "vagram": "VaGram", "ratio": "ratio",
-    "half-ratio": "half ratio, half uniform", "tom-released": "TOM as released",
+    "half-ratio": "half ratio, half uniform", "pdml": "PDML",
+    "half-pdml": "half PDML, half uniform", "policy-distance": "policy distance",
+    "half-policy-distance": "half policy distance, half uniform", "pmer": "PMER",
+    "half-pmer": "half PMER, half uniform", "action-ratio": "action ratio",
+    "half-action-ratio": "half action ratio, half uniform", "tom-released": "TOM as released",
     "tom-discounted": "TOM as printed", "tom-mended": "TOM mended",
     "half-tom-mended": "half TOM mended, half uniform",
 }  # fmt: skip
@@ -153,7 +157,7 @@ def _returns(tables: Tables) -> Verdict:
     table = [
         row
         for row in tables["improvement"]
-        if row["against"] == "MLE" and row["learner"].removesuffix(", mended") in LEARNERS
+        if row["against"] == "MLE" and row["learner"].removesuffix(", mended") in BY_LABEL
     ]
     ours = [row for row in table if row["learner"].split(",")[0] == "TOM"]
     told = [row for row in ours if row["p of all"] < SIGNIFICANT]
@@ -170,7 +174,7 @@ def _returns(tables: Tables) -> Verdict:
     against = f"Corrected for all comparisons of the table, the least p is {least:.2g}.{few}"
     points = [
         Point(
-            row["by"], _plain(row["learner"]), LEARNERS[row["learner"].removesuffix(", mended")],
+            row["by"], _plain(row["learner"]), BY_LABEL[row["learner"].removesuffix(", mended")],
             "circle-open" if row["learner"] == "TOM" else "circle",
             row["wins"], row["low"], row["high"],
         )
@@ -205,7 +209,8 @@ def _word(better: int, worse: int, count: int) -> str:
 
 def _point(line: str, series: str, way: str, value: float, low: float, high: float) -> Point:
     base = way.removeprefix("half-")
-    learner = {"uniform": "mle", "recency": "pmac", "newest": ""}.get(base, base.partition("-")[0])
+    called = {"uniform": "mle", "recency": "pmac", "newest": ""}
+    learner = base if base in LEARNERS else called.get(base, base.partition("-")[0])
     symbol = "diamond-wide" if base != way else "circle-open" if way == PRINTED else "circle"
     return Point(line, series, learner, symbol, value, low, high)
 

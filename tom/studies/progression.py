@@ -83,7 +83,7 @@ def find(args: Namespace, lab: Lab) -> Findings:
             "preset": c["preset"],
             "median": c["median"],
             "by seed": " ".join(f"{value:.3g}" for value in c["values"]),
-            "bound": _bound(c),
+            "bound": "{} {:g}".format(*c["bound"]) if c["bound"] else "",
             "met": c["met"] if c["preset"] == judged else None,
         }
         for c in found
@@ -258,10 +258,6 @@ def verdict(found: Sequence[Row]) -> list[str]:
                 f"{as_the_paper_says(held, len(values))}"
             )
     return said
-
-
-def _bound(c: Row) -> str:
-    return "" if c["bound"] is None else f"{c['bound'][0]} {c['bound'][1]:g}"
 
 
 def _profiles(done: Sequence[Result]) -> Iterator[Row]:
