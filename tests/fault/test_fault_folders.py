@@ -19,7 +19,7 @@ from tom.cli import main
 from tom.errors import TRY_LATER, TryLaterError, UserError
 from tom.record import Store, checkpoint
 from tom.record.integrity import verify
-from tom.training.resume import recorded_config, resume, unfinished
+from tom.training.resume import resumable_config, resume, unfinished
 from tom.training.run import train
 
 pytestmark = pytest.mark.fault
@@ -163,7 +163,7 @@ def test_a_run_whose_checkpoints_cannot_be_read_for_now__is_not_begun_beside_its
     run = store.run("stopped")
     fail(monkeypatch, "open", run.path / checkpoint.FOLDER, errno.EIO)
     with pytest.raises(TryLaterError):
-        unfinished(store, recorded_config(run))
+        unfinished(store, resumable_config(run))
     assert "cannot be read" in "\n".join(verify(run))
     assert "cannot go on" not in "\n".join(verify(run))
 

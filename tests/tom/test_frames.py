@@ -105,7 +105,7 @@ def test_weights_of_others_for_the_same_rows_stand_beside(weighing: Weighing, tm
     assert [name for name in rows if "-s" in name] == ["pmac-s2"]
     np.testing.assert_array_equal(rows["pmac-s2"], same.weights["pmac-s2"])
     both = ["obs_0", "action_0", "policy_distance", "error", "pmac-s2"]
-    pd.testing.assert_frame_equal(same.rows()[both], rows[both])
+    pd.testing.assert_frame_equal(same.rows().loc[:, both], rows.loc[:, both])
 
 
 def test_a_weighing_is_kept_as_tom_weigh_keeps_it(weighing: Weighing, tmp_path: Path):

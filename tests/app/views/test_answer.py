@@ -140,7 +140,7 @@ def side(returns: list[float], newest: float = 0.5, *, uniform: bool = False) ->
     """A group whose runs end at these returns, with a share of the weight on the newest fifth."""
     bins = np.array([[5 * (1 - newest) / 4] * 4 + [5 * newest]])
     fit = np.array([100])
-    profiles = Profiles(fit, bins, fit, np.array([0.5]), np.array([0.0]))
+    profiles = Profiles(fit, bins, fit, np.array([0.5]), np.array([0.0]), fit)
     curves = [
         Curve(str(i), "hopper", "tom", "paper", i, np.array([100]), np.array([value]))
         for i, value in enumerate(returns)

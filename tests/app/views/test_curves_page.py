@@ -291,7 +291,7 @@ def test_a_short_link_leads_to_the_same_view(own: Path) -> None:
     held.write_text(json.dumps({"page": "/evil.example", "query": ""}))
     assert shortlinks.target(own, code) is None
     assert shortlinks.target(own, "../../etc") is None
-    assert any(route.path == "/v/{code}" for route in routes(Links(store=str(own))))
+    assert any(getattr(route, "path", "") == "/v/{code}" for route in routes(Links(store=str(own))))
     with pytest.raises(UserError, match="8,001"):
         shortlinks.save(own, "curves", "x" * 8001)
     shutil.rmtree(own / ".views")

@@ -70,7 +70,7 @@ def test_the_robots_are_those_of_the_timelines_fit(
     Thread(target=control.listen, args=heard, daemon=True).start()
     while not answers(socket):
         time.sleep(0.05)
-    set_links(Links(store=str(store), key="key", viser_port=1, control=socket), monkeypatch)
+    set_links(Links(store=str(store), key="key", port=1, folder=str(tmp_path)), monkeypatch)
     fits = RunReader(store / PENDULUM_TOM).snapshot_steps()
     app = in_buffer(run=PENDULUM_TOM, step=str(fits[0]))
     for fit in (fits[0], fits[-1]):
