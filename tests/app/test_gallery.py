@@ -135,7 +135,6 @@ def test_curves_draws_its_returns(run: RunReader) -> None:
 def test_attention_draws_its_last_fit(run: RunReader) -> None:
     drawn = figures(draw("attention", run=run.run_id))
     assert array(drawn[1]["data"][0]["y"]) == pytest.approx(run.profiles().bins[-1].clip(FLOOR))
-    assert len(drawn) > 3  # what weights go with: the buffer is there
 
 
 @pytest.mark.usefixtures("shown")

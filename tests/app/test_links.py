@@ -182,7 +182,7 @@ def reply(
         ("/compare?show=Side+by+side&side=a", "/replays?part=Side+by+side&side=a"),
         ("/compare?metric=eval%2Freturn&hide=TOM", "/curves?panel=eval%2Freturn&hide=TOM"),
         ("/weights?run=a&step=30&scale=as+they+are", "/attention?run=a&step=30&scale=as+they+are"),
-        ("/regions?run=a", "/attention?part=In+the+buffer&run=a"),
+        ("/regions?run=a", "/attention?run=a"),
         ("/probe?at=3", "/attention?part=Every+learner+on+one+buffer&step=3"),
         ("/road?run=a", "/attention?task=road-and-rocks&run=a"),
         ("/cinema?run=a", "/replays?part=Film&run=a"),

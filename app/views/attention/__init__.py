@@ -53,7 +53,8 @@ def _one(scope: Scope) -> None:
     if run is None:
         st.info("No run here has fitted a model yet: weights come with the first fit.")
         return
-    if scope.asked != run.run_id and any(one.run_id == scope.asked for one in scope.runs):
+    asked = [one for one in scope.runs if one.run_id == scope.asked]
+    if asked and not (run.run_id in data or scope.asked in (run.run_id, run.of)):
         st.info("The chosen run has not fitted a model yet: weights come with the first fit.")
         return
     profiles = readers.profiles(run)

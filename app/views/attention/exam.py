@@ -51,6 +51,8 @@ def say(run: RunReader, fit: int) -> None:
 
 def without(run: RunReader, examined: bool) -> str:
     """Why a fit has no exam; `examined`: another fit of the run has one."""
+    if run.own_loop and not run.of:
+        return "No exam: weights that a loop hands in sit none, those of `tom.weigh_live` do."
     if not examined and not run.status.alive:
         return (
             "No exam: the run is of a version before fits were examined, or ended while its first "

@@ -36,7 +36,7 @@ def test_what_follows_the_timeline_has_the_values_of_each_trace_at_its_steps():
 
 def test_plotly_is_served_from_this_machine() -> None:
     assert plot.LIBRARY.stat().st_size > 1e6
-    assert plot.LIBRARY_PATH.startswith("/")
+    assert not plot.LIBRARY_PATH.startswith(("/", "http"))  # below any path of a proxy
 
 
 def test_the_shell_says_where_streamlit_is_before_its_scripts() -> None:

@@ -205,6 +205,7 @@ def keep_the_chosen_run(visit: Visit) -> None:
 def lasso_a_region(page: "Page") -> None:
     """A lasso chooses rows in the browser, and then on the server."""
     page.locator(".buffer-map[data-drawn]").wait_for()
+    page.locator(".map-over").evaluate("map => map.scrollIntoView({ block: 'center' })")
     frame = page.locator(".map-over").bounding_box()
     assert frame is not None
     corners = [(0.3, 0.3), (0.7, 0.3), (0.7, 0.7), (0.3, 0.7), (0.3, 0.35)]
