@@ -121,12 +121,18 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
             "Road-and-rocks learns from a fixed data set: nothing is collected after a fit. "
             "Attention shows the weights on the map.",
         )  # fmt: skip
-    answers.append(
-        answer.helps(one, sides[1])
-        if len(sides) > 1
-        else Answer("unknown", "Cannot be told yet", "There is nothing to compare it with.",
-                    "Train MLE, which weighs all rows alike.")
-    )  # fmt: skip
+    if any(run.of for run in next(iter(fresh.values()))):
+        answers.append(
+            Answer("unknown", "Not asked here", "Nothing learns from live weights: they are "
+                   "computed beside a training loop.", "`run.latest_weights()` gives them to it.")
+        )  # fmt: skip
+    elif len(sides) > 1:
+        answers.append(answer.helps(one, sides[1]))
+    else:
+        answers.append(
+            Answer("unknown", "Cannot be told yet", "There is nothing to compare it with.",
+                   "Train MLE, which weighs all rows alike.")
+        )  # fmt: skip
     charts = (
         (
             _share_curves(scope, fresh) if env != ROAD else [],
