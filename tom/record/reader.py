@@ -46,7 +46,9 @@ FILES: dict[str, tuple[str, ...]] = {
 }
 """the files of those parts whose names are fixed"""
 Version = tuple[tuple[int, int], ...]
-"""(mtime_ns, size) of each file; (0, 0) for a missing one"""
+"""(mtime_ns, size) of each file"""
+MISSING = (0, 0)
+"""the version of a file that is missing, or in a folder that may not be looked into"""
 
 
 class Recorded(NamedTuple):
@@ -238,8 +240,8 @@ class RunReader:
         Only a finished run has a final one: if it was given more steps, its file is of earlier.
         """
         if step is None:
-            return self.status.state == "finished" and (self.path / layout.POLICY).is_file()
-        return (self.path / layout.policy(step)).is_file()
+            return self.status.state == "finished" and self.version("policies")[1] != MISSING
+        return self.version("policies", step)[0] != MISSING
 
     def keeps_behaviour(self) -> bool:
         """Whether the run says which policies drew its actions (`Recorded.behaviour`).
@@ -397,5 +399,5 @@ def _stamp(path: str) -> tuple[int, int]:
     try:
         file = os.stat(path)  # noqa: PTH116
     except OSError:
-        return (0, 0)
+        return MISSING
     return (file.st_mtime_ns, file.st_size)

@@ -27,7 +27,8 @@ def show(key: str, chosen: str = "") -> None:
         st.error(text.markdown(begun.tail()), icon=":material/error:")
     else:
         del st.session_state[key]
-        st.session_state.pop(chosen, None)
+        if chosen:
+            st.session_state.pop(chosen, None)
         st.rerun()
 
 

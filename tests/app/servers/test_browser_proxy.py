@@ -41,8 +41,7 @@ def test_a_visit_behind_a_proxy_stays_below_its_path(store: Path) -> None:
         page.get_by_role("button", name="Start", exact=True).wait_for()
         to(page, "Curves").locator(".js-plotly-plot").nth(1).wait_for()
         to(page, "Attention").locator(".js-plotly-plot .hm").first.wait_for()
-        page.get_by_role("radio", name="In the buffer").click()
-        page.locator("canvas").first.wait_for()
+        page.locator(".buffer-map[data-drawn]").wait_for()
         page.goto(f"{address}/replays?run={PENDULUM_TOM}")
         wait_until_drawn(page.locator("iframe"), 0.002, top=0.65)  # viser
         page.get_by_role("radio", name="Rerun", exact=True).last.click()
