@@ -42,7 +42,7 @@ def test_figures_are_plotlys_each_under_its_name(outputs):
     titles = [data["text/markdown"] for data in of_run if "text/markdown" in data]
     assert titles == ["**return**", "**every fit**", "**the last fit**"]
     assert sum(FIGURE in data for data in of_run) == len(titles)
-    (profiles,) = shown(outputs, 'tom.studio.show(weighing)')
+    (profiles,) = shown(outputs, "tom.studio.show(weighing)")
     names = {line.get("name") for line in profiles[FIGURE]["data"]}
     assert {"TOM (1 seed)", "PMAC (1 seed)", "MLE (1 seed)"} <= names
 
