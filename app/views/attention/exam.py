@@ -102,8 +102,8 @@ def about_weights(metrics: Mapping[str, float]) -> str:
         return "Too few steps to tell where the weights should lie."
     if footprint is None or noise is None or not informative(noise):
         return (
-            "The footprint says nothing here: without weights the buffer lies no farther from "
-            "these steps than two halves of them from each other."
+            "The footprint cannot be measured at this fit: without weights the buffer lies no "
+            "farther from these steps than two halves of them from each other."
         )
     if footprint < 1 - abs(noise):
         return (
