@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from studio_browser import studio_and_browser
+from studio_browser import DRAWN_S, Visit, studio_and_browser
 
 from app.data import trainings
 from app.links import Links
@@ -36,3 +36,12 @@ def no_training_left(own_store: Path) -> Iterator[None]:
     for run in Store(own_store).runs():
         if run.status.alive:
             trainings.stop(Store(own_store), run.run_id)
+
+
+@pytest.fixture
+def visit(own: Path) -> Iterator[Visit]:
+    """A tab of a studio of its own, whose runs it may change."""
+    with studio_and_browser(own) as (links, browser):
+        page = browser.new_page(viewport={"width": 1280, "height": 1000})
+        page.set_default_timeout(1000 * DRAWN_S)
+        yield Visit(page, links)

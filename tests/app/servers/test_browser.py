@@ -1,151 +1,20 @@
 """The studio in a real browser: its frames really draw, nothing fails, nothing goes outside."""
 
-import io
-import shutil
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import parse_qs, urlsplit
 
-import numpy as np
 import pandas as pd
 import pytest
-from PIL import Image
-from studio_browser import studio_and_browser
+from studio_browser import DRAWN_S, LOCAL, NEEDS_BROWSER, Visit, asked, drawn, wait_until_drawn
 from studio_runs import PENDULUM_TOM, ROAD_TOM, RUNS
 
-from app.links import Links
 from tom.record.reader import RunReader
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Locator, Page
+    from playwright.sync_api import Page
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
-]
-DRAWN_S = 60
-LOCAL = {"127.0.0.1", "localhost", ""}
-
-
-@dataclass
-class Visit:
-    """A browser tab that remembers where it asked."""
-
-    page: "Page"
-    links: Links
-    asked: set[str] = field(default_factory=set)
-
-    def __post_init__(self) -> None:
-        self.page.on("request", lambda request: self._asked(request.url))
-        self.page.on("websocket", lambda socket: self._asked(socket.url))
-
-    def open(self, name: str, path: str) -> None:
-        """Click on a page's name in the studio's menu, again if the click fell into a redraw."""
-        from playwright.sync_api import TimeoutError
-
-        for _ in range(4):
-            self.page.get_by_role("link", name=name).first.click()
-            try:
-                self.page.wait_for_url(f"**/{path}*", timeout=10_000)
-                return
-            except TimeoutError:
-                continue
-        pytest.fail(f"{name} did not open")
-
-    def _asked(self, url: str) -> None:
-        self.asked.add(urlsplit(url).hostname or "")
-
-
-@pytest.fixture
-def own(store: Path, tmp_path: Path) -> Path:
-    """A copy of the store that a test may write to."""
-    shutil.copytree(store, tmp_path / "store")
-    return tmp_path / "store"
-
-
-@pytest.fixture
-def visit(own: Path) -> Iterator[Visit]:
-    with studio_and_browser(own) as (links, browser):
-        page = browser.new_page(viewport={"width": 1280, "height": 1000})
-        page.set_default_timeout(1000 * DRAWN_S)
-        yield Visit(page, links)
-
-
-def colourful(element: "Locator", top: float = 1.0) -> float:
-    """Share of an element's pixels that have a colour (no text, no background), of its top part."""
-    image = np.asarray(Image.open(io.BytesIO(element.screenshot())).convert("HSV"))
-    _, saturation, value = np.moveaxis(image[: round(top * len(image))], -1, 0)
-    return float(((saturation > 90) & (value > 60)).mean())
-
-
-def wait_until_drawn(element: "Locator", share: float, top: float = 1.0) -> None:
-    """Wait until so large a share of the pixels of the element's top part is coloured."""
-    element.scroll_into_view_if_needed()
-    deadline = time.monotonic() + DRAWN_S
-    while colourful(element, top) < share:
-        assert time.monotonic() < deadline, f"nothing drawn: {colourful(element, top):.4f}"
-        element.page.wait_for_timeout(500)
-
-
-def wait_until_steady(page: "Page", true: Callable[[], bool], seconds: float) -> None:
-    """Wait until something has been true for `seconds` without a break."""
-    deadline = time.monotonic() + DRAWN_S
-    since = time.monotonic()
-    while time.monotonic() - since < seconds:
-        assert time.monotonic() < deadline, "the page does not come to rest so"
-        page.wait_for_timeout(100)
-        if not true():
-            since = time.monotonic()
-
-
-def zoom_in(chart: "Locator") -> list[float]:
-    """Drag a box over a chart; the range of steps that it shows then."""
-    before = shown_steps(chart)
-    box = chart.locator(".nsewdrag").first.bounding_box()
-    assert box is not None
-    mouse = chart.page.mouse
-    mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.2 * box["height"])
-    mouse.down()
-    mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 0.8 * box["height"], steps=5)
-    mouse.up()
-    wait_until_steady(chart.page, lambda: shown_steps(chart) != before, 0.3)
-    after = shown_steps(chart)
-    assert before[0] < after[0] < after[1] < before[1]
-    return after
-
-
-def shown_steps(chart: "Locator") -> list[float]:
-    return chart.evaluate("plot => plot.layout.xaxis.range.slice()")
-
-
-def drawn(page: "Page") -> "Locator":
-    """The page's first chart, once it is there."""
-    found = page.locator(".js-plotly-plot").first
-    found.locator(".nsewdrag").first.wait_for()
-    return found
-
-
-def named(page: "Page") -> list[str]:
-    """The names of what the page's first chart draws."""
-    names = "plot => (plot._fullData ?? []).filter(t => t.visible === true).map(t => t.name ?? '')"
-    return drawn(page).evaluate(names)
-
-
-def lines(page: "Page") -> set[str]:
-    """The groups that have a line in the page's first chart, by the first word of their title."""
-    return {word for name in named(page) if (word := name.partition(" ")[0]).isupper()}
-
-
-def asked(page: "Page") -> dict[str, list[str]]:
-    return parse_qs(urlsplit(page.url).query)
-
-
-def settle(page: "Page", words: str) -> None:
-    page.wait_for_url(lambda address: words in address)
-    page.wait_for_timeout(1500)  # no drawing is under way, so that the next one is another entry
+pytestmark = NEEDS_BROWSER
 
 
 @pytest.mark.quick
@@ -160,6 +29,7 @@ def test_a_visit_to_every_page(visit: Visit, own: Path) -> None:
     visit.open("Curves", "curves")
     page.locator(".js-plotly-plot").nth(1).wait_for()
     take_the_table(page)
+    click_the_end_of_a_curve(page)
     visit.open("Attention", "attention")
     click_the_first_fit(page, own)
     lasso_a_region(page)
@@ -184,6 +54,21 @@ def take_the_table(page: "Page") -> None:
     assert set(table["run"]) == {run_id for run_id, env, *_ in RUNS if env == "inverted-pendulum"}
 
 
+def click_the_end_of_a_curve(page: "Page") -> None:
+    chart = drawn(page)
+    place = """plot => {
+        const trace = plot.calcdata.findLast(points => points[0].trace.mode?.includes('lines')
+            && points[0].trace.name?.startsWith('TOM') && points.at(-1).x);
+        const {xaxis, yaxis} = plot._fullLayout, point = trace.at(-1);
+        return [xaxis.l2p(point.x), yaxis.l2p(point.y)];
+    }"""
+    frame = chart.locator(".nsewdrag").first.bounding_box()
+    assert frame is not None
+    x, y = chart.evaluate(place)
+    page.mouse.click(frame["x"] + x, frame["y"] + y)
+    page.wait_for_url("**/curves?*run=*pendulum-tom-*")
+
+
 def click_the_first_fit(page: "Page", store: Path) -> None:
     chart = page.locator(".js-plotly-plot").first
     chart.locator(".hm").wait_for()
@@ -191,8 +76,8 @@ def click_the_first_fit(page: "Page", store: Path) -> None:
     assert frame is not None
     page.mouse.click(frame["x"] + 0.02 * frame["width"], frame["y"] + 0.5 * frame["height"])
     page.wait_for_url("**/attention?*step=*")
-    chosen = int(asked(page)["step"][0])
-    assert chosen == RunReader(store / PENDULUM_TOM).profiles().env_step[0]
+    chosen, run = int(asked(page)["step"][0]), asked(page)["run"][0]
+    assert chosen == RunReader(store / run).profiles().env_step[0]
     page.locator(".readout dd").first.get_by_text(f"{chosen:,}", exact=True).wait_for()
 
 

@@ -1,37 +1,32 @@
 """What a visitor sees is in the address: for another tab, a reload, and Back."""
 
 import json
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from studio_runs import PENDULUM_TOM
-from test_browser import (  # noqa: F401 (own and visit are fixtures)
+from studio_browser import (
     LOCAL,
+    NEEDS_BROWSER,
     Visit,
     asked,
     drawn,
     lines,
     named,
-    own,
     settle,
     shown_steps,
-    visit,
+    until,
     wait_until_steady,
     zoom_in,
 )
-from test_browser_visitor import until
+from studio_runs import PENDULUM_TOM
 
 from tom.record.reader import RunReader
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
-]
+pytestmark = NEEDS_BROWSER
 START = "curves?task=inverted-pendulum"
 HOSTILE = "<img src=http://evil.example/x.png onerror=alert(1)>"
 
@@ -49,7 +44,7 @@ def counted(page: "Page", label: str) -> None:
     until(page, lambda: label in named(page), f"no {label}")
 
 
-def test_what_is_hidden_and_zoomed_is_in_the_address_and_back_goes_back(visit: Visit) -> None:  # noqa: F811
+def test_what_is_hidden_and_zoomed_is_in_the_address_and_back_goes_back(visit: Visit) -> None:
     page = visit.page
     page.goto(visit.links.opened(START))
     all_steps = shown_steps(drawn(page))
@@ -104,7 +99,7 @@ def test_what_is_hidden_and_zoomed_is_in_the_address_and_back_goes_back(visit: V
 
 
 @pytest.mark.quick
-def test_back_takes_back_one_choice_after_the_other(visit: Visit) -> None:  # noqa: F811
+def test_back_takes_back_one_choice_after_the_other(visit: Visit) -> None:
     page = visit.page
     page.goto(visit.links.opened(START))
     drawn(page)
@@ -135,7 +130,7 @@ def test_back_takes_back_one_choice_after_the_other(visit: Visit) -> None:  # no
     assert asked(page) == {"task": ["inverted-pendulum"]}
 
 
-def test_back_takes_back_a_step_and_a_run_and_no_correction(visit: Visit) -> None:  # noqa: F811
+def test_back_takes_back_a_step_and_a_run_and_no_correction(visit: Visit) -> None:
     page, links = visit.page, visit.links
     run = RunReader(Path(links.store) / PENDULUM_TOM)
     fits = run.profiles().env_step.tolist()
@@ -180,7 +175,7 @@ def test_back_takes_back_a_step_and_a_run_and_no_correction(visit: Visit) -> Non
     assert asked(page) == {"task": ["inverted-pendulum"]}
 
 
-def test_hostile_words_are_plain_words_in_the_list_of_runs(visit: Visit, own: Path) -> None:  # noqa: F811
+def test_hostile_words_are_plain_words_in_the_list_of_runs(visit: Visit, own: Path) -> None:
     path = own / PENDULUM_TOM / "config.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"learner": HOSTILE}))
     page = visit.page

@@ -1,24 +1,18 @@
 """Charts in a real browser: drawn whatever runs are called, saved, or said to have failed."""
 
 import json
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import pytest
+from studio_browser import NEEDS_BROWSER, Visit, choose, drawn, named, until
 from studio_runs import PENDULUM_TOM
-from test_browser import Visit, drawn, named, own, visit  # noqa: F401 (two are fixtures)
-from test_browser_visitor import choose, until
 
 from tom.analysis.settings import USUAL
 
 if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
-]
+pytestmark = NEEDS_BROWSER
 HOSTILE = "8.5, #a [b] > 'c' :d"
 REACT = "window.Plotly.react"
 BEGINS = {"SVG": b"<", "PDF": b"%PDF", "PNG": b"\x89PNG", "CSV": b"line,"}
@@ -31,8 +25,8 @@ def lines(chart: "Locator") -> int:
 
 
 def test_a_chart_follows_its_page_and_is_saved_whatever_its_groups_are_called(
-    visit: Visit,  # noqa: F811
-    own: Path,  # noqa: F811
+    visit: Visit,
+    own: Path,
 ) -> None:
     path = own / PENDULUM_TOM / "config.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"preset": HOSTILE}))
@@ -64,7 +58,7 @@ def group_by(page: "Page", what: str) -> None:
     page.keyboard.press("Escape")
 
 
-def test_a_chart_that_cannot_be_drawn_says_so_until_it_can(visit: Visit) -> None:  # noqa: F811
+def test_a_chart_that_cannot_be_drawn_says_so_until_it_can(visit: Visit) -> None:
     page = visit.page
     page.goto(visit.links.opened("curves?task=inverted-pendulum"))
     chart = drawn(page)

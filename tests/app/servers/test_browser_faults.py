@@ -1,32 +1,27 @@
 """What went wrong once for a visitor with a real browser."""
 
 import json
-import shutil
 import time
 from pathlib import Path
 
 import pytest
-from studio_runs import PENDULUM_TOM, set_status, trains_elsewhere
-from test_browser import (  # noqa: F401 (two are fixtures)
+from studio_browser import (
     DRAWN_S,
+    NEEDS_BROWSER,
     Visit,
     drawn,
-    own,
     shown_steps,
-    visit,
     zoom_in,
 )
+from studio_runs import PENDULUM_TOM, set_status, trains_elsewhere
 
 from tom.record import manage
 from tom.record.store import Store
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
-]
+pytestmark = NEEDS_BROWSER
 
 
-def test_a_link_to_a_run_that_is_not_there_says_so(visit: Visit, own: Path) -> None:  # noqa: F811
+def test_a_link_to_a_run_that_is_not_there_says_so(visit: Visit, own: Path) -> None:
     manage.trash(Store(own), PENDULUM_TOM)
     page = visit.page
     page.goto(visit.links.opened(f"weights?run={PENDULUM_TOM}"))
@@ -48,7 +43,7 @@ def test_a_link_to_a_run_that_is_not_there_says_so(visit: Visit, own: Path) -> N
     page.get_by_text("Does it help?").wait_for()
 
 
-def test_an_open_page_takes_up_a_training_that_starts(visit: Visit, own: Path) -> None:  # noqa: F811
+def test_an_open_page_takes_up_a_training_that_starts(visit: Visit, own: Path) -> None:
     page = visit.page
     page.goto(visit.links.opened("?task=inverted-pendulum"))
     page.get_by_text("Does it help?").wait_for()
@@ -62,8 +57,8 @@ def test_an_open_page_takes_up_a_training_that_starts(visit: Visit, own: Path) -
 
 
 def test_a_curve_follows_its_run_and_keeps_what_the_reader_has_zoomed_to(
-    visit: Visit,  # noqa: F811
-    own: Path,  # noqa: F811
+    visit: Visit,
+    own: Path,
 ) -> None:
     page, run = visit.page, own / PENDULUM_TOM
     trains_elsewhere(run)
@@ -86,7 +81,7 @@ def record_another_return(run: Path, step: int) -> None:
         file.write(json.dumps({"env_step": step, "eval/return": 1.0}) + "\n")
 
 
-def test_enter_takes_one_run_and_not_every_match(visit: Visit) -> None:  # noqa: F811
+def test_enter_takes_one_run_and_not_every_match(visit: Visit) -> None:
     page = visit.page
     page.goto(visit.links.opened("curves?part=Runs&task=inverted-pendulum"))
     field = page.get_by_role("combobox", name="Runs to label or to move to the trash")

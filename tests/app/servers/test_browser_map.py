@@ -1,15 +1,13 @@
 """The buffer's map in a real browser: it chooses the rows that the server chooses."""
 
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 import numpy as np
 import pytest
+from studio_browser import NEEDS_BROWSER, Visit, asked, until
 from studio_runs import PENDULUM_TOM
-from test_browser import Visit, asked, own, visit  # noqa: F401 (two are fixtures)
-from test_browser_visitor import until
 
 from app.data import buffer_map, columns
 from app.data.selection import Selection
@@ -19,10 +17,7 @@ from tom.record.reader import RunReader
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
-]
+pytestmark = NEEDS_BROWSER
 CHOSEN = """() => {
   const { rows } = document.querySelector(".buffer-map");
   return [...rows.failed].flatMap((failed, i) => (failed ? [] : [rows.first + i]));
@@ -36,7 +31,7 @@ CASES = (
 )
 
 
-def opened(visit: Visit, **query: list[str]) -> "Page":  # noqa: F811
+def opened(visit: Visit, **query: list[str]) -> "Page":
     words = "&".join(f"{key}={quote(one)}" for key, of in query.items() for one in of)
     visit.page.goto(visit.links.opened(f"attention?run={PENDULUM_TOM}&step=300&{words}"))
     visit.page.locator(".buffer-map[data-loaded]").wait_for()
@@ -54,7 +49,7 @@ def on_the_server(store: Path, where: list[str], outline: list[str]) -> list[int
 
 
 @pytest.mark.quick
-def test_browser_and_server_choose_the_same_rows(visit: Visit, own: Path) -> None:  # noqa: F811
+def test_browser_and_server_choose_the_same_rows(visit: Visit, own: Path) -> None:
     sizes = set()
     for case in CASES:
         page = opened(visit, **case)
@@ -64,7 +59,7 @@ def test_browser_and_server_choose_the_same_rows(visit: Visit, own: Path) -> Non
     assert len(sizes) > 2
 
 
-def test_a_brush_a_lasso_and_back(visit: Visit, own: Path) -> None:  # noqa: F811
+def test_a_brush_a_lasso_and_back(visit: Visit, own: Path) -> None:
     page = opened(visit)
     canvas = page.locator(".map-hist[data-name='pole angle'] canvas")
     canvas.scroll_into_view_if_needed()
@@ -105,8 +100,8 @@ def test_a_brush_a_lasso_and_back(visit: Visit, own: Path) -> None:  # noqa: F81
 
 
 def test_the_map_shows_a_fits_own_weights_as_soon_as_the_timeline_moves(
-    visit: Visit,  # noqa: F811
-    own: Path,  # noqa: F811
+    visit: Visit,
+    own: Path,
 ) -> None:
     first, last = (buffer_map.fits(RunReader(own / PENDULUM_TOM))[fit] for fit in ("200", "300"))
     page = opened(visit)

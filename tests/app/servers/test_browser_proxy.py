@@ -1,22 +1,16 @@
 """A visit to a studio behind a reverse proxy: everything below one path of one address."""
 
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import pytest
 from reverse_proxy import reverse_proxy
-from studio_browser import studio_and_browser
+from studio_browser import NEEDS_BROWSER, studio_and_browser, wait_until_drawn
 from studio_runs import PENDULUM_TOM, ROAD_TOM
-from test_browser import wait_until_drawn
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
-]
+pytestmark = NEEDS_BROWSER
 PREFIX = "/user/x/studio"
 
 

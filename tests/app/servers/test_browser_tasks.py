@@ -1,7 +1,6 @@
 """The ten things that a visitor comes for, by keyboard alone from the first key to the last."""
 
 import json
-import shutil
 import statistics
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from studio_browser import DRAWN_S, NEEDS_BROWSER, drawn, lines, until, wait_until_drawn
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
-from test_browser import DRAWN_S, drawn, lines, wait_until_drawn
-from test_browser_visitor import status, until
 
 from app.data.answer import newest_share
 from app.links import Links
@@ -23,10 +21,7 @@ from tom.record.store import Store
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
-]
+pytestmark = NEEDS_BROWSER
 MOST_TABS = 250
 """key presses from the beginning of a page to its end"""
 MOST_ARROWS = 8
@@ -41,6 +36,12 @@ SEEN = """() => {
     return false;
 }"""
 """whether a ring tells where the focus is, or the mark of a text"""
+
+FOCUSED = """() => {
+  const here = document.activeElement;
+  const name = here.ariaLabel || here.title || here.innerText || here.getAttribute("placeholder");
+  return name ? name.trim() : "";
+}"""
 
 
 @pytest.fixture
@@ -91,6 +92,7 @@ def take(page: "Page", name: str) -> None:
     pytest.fail(f"no arrow leads to {name}")
 
 
+@pytest.mark.quick
 def test_a_training_is_started_watched_and_stopped(page: "Page", own_store: Path) -> None:
     before = {run.run_id for run in Store(own_store).runs()}
     press(page.locator("summary", has_text="Start a training"))
@@ -108,9 +110,12 @@ def test_a_training_is_started_watched_and_stopped(page: "Page", own_store: Path
     [run] = [run for run in Store(own_store).runs() if run.run_id not in before]
     until(page, lambda: run.evaluation_steps(), "the training was never evaluated")
     press(stop)
+    page.locator("code", has_text=f"tom train --resume {run.run_id}").wait_for()
     press(page.get_by_role("button", name="Stop this training"))
     stop.wait_for(state="detached")  # at once: the training ends after its step
-    until(page, lambda: status(own_store, run.run_id).shown == "stopped", "it did not stop")
+    until(
+        page, lambda: Store(own_store).run(run.run_id).status.shown == "stopped", "it did not stop"
+    )
 
 
 def test_a_comparison_is_made_and_shared(page: "Page") -> None:
@@ -234,6 +239,9 @@ def test_a_figure_and_a_film_are_taken_home(page: "Page", tmp_path: Path) -> Non
     page.goto(f"/replays?run={PENDULUM_TOM}")
     take(page, "Film")
     with page.expect_download() as download:
+        page.frame_locator("iframe").last.get_by_role("button", name="MP4").click()
+    assert download.value.path().read_bytes()[4:8] == b"ftyp"
+    with page.expect_download() as download:
         press(page.get_by_role("button", name="One HTML file"))
     film = download.value.path().read_bytes()
     assert film.lower().startswith(b"<!doctype html")
@@ -265,6 +273,34 @@ def test_a_run_is_labelled_put_into_the_trash_and_brought_back(
     press(bring_back)
     page.get_by_text("1 in the trash").wait_for(state="detached")
     assert store.run("pendulum-tom-1").labels.name == "the steady one"
+
+
+def test_a_menu_opens_by_enter_and_escape_gives_the_focus_back(page: "Page") -> None:
+    page.goto("/curves")
+    page.locator(".runlist .section").first.wait_for()
+    page.wait_for_load_state("networkidle")
+    link = page.get_by_test_id("stPopover").get_by_role("button", name="Link").first
+    link.wait_for()
+    link.focus()
+    page.keyboard.press("Enter")
+    page.get_by_text("This address shows what you see now").wait_for()
+    page.keyboard.press("Escape")
+    until(page, lambda: "Link" in page.evaluate(FOCUSED), "the menu has lost the focus")
+    page.get_by_text("This address shows what you see now").wait_for(state="hidden")
+
+
+def test_a_search_by_slash_and_help_by_question_mark(page: "Page") -> None:
+    page.goto("/curves")
+    page.locator(".runlist .section").first.wait_for()
+    page.wait_for_load_state("networkidle")
+    page.keyboard.press("/")
+    assert page.evaluate("document.activeElement.matches('[data-testid=stSidebar] input')")
+    page.keyboard.press("Escape")
+    page.evaluate("document.activeElement.blur()")
+    page.keyboard.press("?")
+    page.get_by_role("dialog", name="Shortcuts").wait_for()
+    page.keyboard.press("Escape")
+    page.get_by_role("dialog", name="Shortcuts").wait_for(state="hidden")
 
 
 @pytest.mark.parametrize("path", ["", "curves", "attention", "replays", "findings"])

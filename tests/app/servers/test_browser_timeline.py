@@ -1,24 +1,19 @@
 """The timeline and the eyes in a real browser: what moves before the server has answered."""
 
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from studio_browser import NEEDS_BROWSER, Visit, asked, lines, settle, until
 from studio_runs import PENDULUM_TOM
-from test_browser import Visit, asked, lines, own, settle, visit  # noqa: F401 (two are fixtures)
-from test_browser_visitor import until
 
 from tom.record.reader import RunReader, at_or_before
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
-]
+pytestmark = NEEDS_BROWSER
 WATCH = """() => {
   window.seen = [];
   window.addEventListener("tom:step", ({ detail }) => {
@@ -53,8 +48,8 @@ def moved(page: "Page", key: str) -> dict:
 
 @pytest.mark.quick
 def test_the_timeline_moves_numbers_and_profile_before_the_server_hears_of_it(
-    visit: Visit,  # noqa: F811
-    own: Path,  # noqa: F811
+    visit: Visit,
+    own: Path,
 ) -> None:
     run = RunReader(own / PENDULUM_TOM)
     profiles = run.profiles()
@@ -90,7 +85,7 @@ def test_the_timeline_moves_numbers_and_profile_before_the_server_hears_of_it(
 
 
 @pytest.mark.quick
-def test_an_eye_shut_by_keyboard_takes_its_line_away_and_back_brings_it(visit: Visit) -> None:  # noqa: F811
+def test_an_eye_shut_by_keyboard_takes_its_line_away_and_back_brings_it(visit: Visit) -> None:
     page = visit.page
     page.goto(visit.links.opened("curves?task=inverted-pendulum"))
     until(page, lambda: {"MLE", "TOM"} <= lines(page), "not two lines")

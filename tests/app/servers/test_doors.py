@@ -1,6 +1,5 @@
 """What pages of other origins can do to a studio in a real browser, and who holds its key."""
 
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -9,17 +8,14 @@ from threading import Thread
 from typing import TYPE_CHECKING
 
 import pytest
-from studio_browser import studio_and_browser
+from studio_browser import NEEDS_BROWSER, studio_and_browser
 
 from app.links import Links
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
-]
+pytestmark = NEEDS_BROWSER
 SOCKET = """address => new Promise(done => {
     const socket = new WebSocket(address, ["streamlit", "none"]);
     socket.onopen = () => done("open");
