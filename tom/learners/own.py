@@ -87,11 +87,6 @@ class OwnLearner:
                 raise OwnCodeError(
                     f"{self._what}: {name} must be a tensor of shape {tuple(shape)}, not {has}"
                 )
-            if value.is_complex() or value.is_meta or value.layout != torch.strided:
-                has = "without data" if value.is_meta else f"{value.layout}, {value.dtype}"
-                raise OwnCodeError(
-                    f"{self._what}: {name} must be a dense tensor of real numbers, not {has}"
-                )
             return value.detach().to(obs)
 
         metrics = {str(name): float(value) for name, value in given.metrics.items()}

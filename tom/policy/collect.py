@@ -158,51 +158,37 @@ class _Tape:
         self._env = task.make()
         simulator = simulated(self._env)
         self._data = None if simulator is None else simulator.data
-        steps = task.max_episode_steps
-        self._obs = np.empty((steps + 1, task.obs_dim), np.float32)
-        nq, nv = (0, 0) if self._data is None else (self._data.qpos.size, self._data.qvel.size)
-        self._qpos = np.empty((steps + 1, nq), np.float32)
-        self._qvel = np.empty((steps + 1, nv), np.float32)
-        self._action = np.empty((steps, task.action_dim), np.float32)
-        self._reward = np.empty(steps, np.float32)
-        self._length = 0
         self._terminated = self._truncated = False
+        self._steps: list[tuple[NDArray, float]] = []
+        self._states: list[tuple[NDArray, ...]] = []
 
     @property
-    def obs(self) -> np.ndarray:
-        return self._obs[self._length]
+    def obs(self) -> NDArray:
+        return self._states[-1][0]
 
     @property
     def ended(self) -> bool:
         return self._terminated or self._truncated
 
     def begin(self, seed: int) -> None:
-        obs, _ = self._env.reset(seed=seed)
-        self._length = 0
         self._terminated = self._truncated = False
-        self._write_state(obs)
+        self._steps, self._states = [], []
+        self._note(self._env.reset(seed=seed)[0])
 
-    def step(self, action: np.ndarray) -> None:
+    def step(self, action: NDArray) -> None:
         obs, reward, self._terminated, self._truncated, _ = self._env.step(action)
-        self._action[self._length] = action
-        self._reward[self._length] = reward
-        self._length += 1
-        self._write_state(obs)
+        self._steps.append((action, float(reward)))
+        self._note(obs)
 
     def episode(self) -> Episode:
-        h = self._length
+        action, reward = (np.array(part, np.float32) for part in zip(*self._steps, strict=True))
+        obs, *joints = (np.array(part) for part in zip(*self._states, strict=True))
+        qpos, qvel = joints or (None, None)
         return Episode(
-            reward=self._reward[:h].copy(),
-            action=self._action[:h].copy(),
-            obs=self._obs[: h + 1].copy(),
-            qpos=None if self._data is None else self._qpos[: h + 1].copy(),
-            qvel=None if self._data is None else self._qvel[: h + 1].copy(),
-            terminated=self._terminated,
-            truncated=self._truncated,
+            reward, action, obs, qpos, qvel, terminated=self._terminated, truncated=self._truncated
         )
 
-    def _write_state(self, obs: np.ndarray) -> None:
-        self._obs[self._length] = obs
-        if self._data is not None:
-            self._qpos[self._length] = self._data.qpos
-            self._qvel[self._length] = self._data.qvel
+    def _note(self, obs: NDArray) -> None:
+        """Keep an observation, and the positions and velocities of the joints there."""
+        joints = () if self._data is None else (self._data.qpos, self._data.qvel)
+        self._states.append(tuple(np.array(part, np.float32) for part in (obs, *joints)))

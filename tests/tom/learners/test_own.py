@@ -1,13 +1,13 @@
 """A plug-in's learner: its answers are checked, and weights that cannot be used are uniform."""
 
-import io
 from collections import OrderedDict
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from made import OBS, context, generator, rows
+from common import generator, reloaded
+from made import OBS, context, rows
 
 from tom.data.sampling import normalise
 from tom.errors import DivergedError, OwnCodeError
@@ -175,25 +175,9 @@ def test_a_state_that_is_accepted_is_loaded_as_a_checkpoint_is():
         "rest": [1, 2.0, None, True, "a", b"b", (1, {2}), OrderedDict(a=torch.ones(2))],
         "own": torch.nn.Parameter(torch.ones(2)),
     }
-    file = io.BytesIO()
-    torch.save(OwnLearner("mine", lambda: Keeping(state)).state_dict(), file)
-    file.seek(0)
-    loaded = torch.load(file, weights_only=True)
+    loaded = reloaded(OwnLearner("mine", lambda: Keeping(state)).state_dict())
     assert loaded["rest"][:-1] == state["rest"][:-1]
     assert torch.equal(loaded["net"]["weight"], net.weight)
-
-
-@pytest.mark.parametrize(
-    "given",
-    [
-        torch.ones(N, dtype=torch.complex64),
-        torch.ones(N).to_sparse(),
-        torch.ones(N, device="meta"),
-    ],
-)
-def test_tensors_that_hold_no_plain_numbers_are_refused(given: torch.Tensor):
-    with pytest.raises(OwnCodeError, match="dense tensor"):
-        own(Weighting(given)).weigh(context(rows(N)))
 
 
 class Double(Answering):
