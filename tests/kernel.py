@@ -1,9 +1,19 @@
-"""What the kernel says of processes."""
+"""What the kernel says of processes, and how to wait for it."""
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 LOOPBACK = {"0100007F", "0" * 24 + "01000000"}
 """127.0.0.1 in IPv4 and in IPv6, as the kernel writes it"""
+
+
+def wait_for(holds: Callable[[], object], seconds: float = 60) -> None:
+    """Wait until something holds that another process or thread does."""
+    deadline = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def descendants(pid: int) -> set[int]:

@@ -6,12 +6,13 @@ import shutil
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 import streamlit as st
 from streamlit.components.v2 import manifest_scanner
 from streamlit.runtime.context import ContextProxy
-from studio_pages import set_links
+from studio_pages import Show, set_links
 from studio_runs import RUNS
 
 from app.guard import KEY
@@ -55,18 +56,24 @@ def pages_are_asked_for_with_a_key(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def studio(store: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Links]:
-    """Pages of this process show the store to a browser with the key; no other server is there."""
-    links = Links(store=str(store), key="key")
-    set_links(links, monkeypatch)
-    yield links
+def show(monkeypatch: pytest.MonkeyPatch) -> Iterator[Show]:
+    def show(store: Path, key: str = "key", **more: Any) -> None:
+        set_links(Links(store=str(store), key=key, **more), monkeypatch)
+
+    yield show
     st.cache_data.clear()
     st.cache_resource.clear()
 
 
 @pytest.fixture
-def own(studio: Links, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def studio(store: Path, show: Show) -> None:
+    """Pages show the recorded runs; no other server is there."""
+    show(store)
+
+
+@pytest.fixture
+def own(store: Path, tmp_path: Path, show: Show) -> Path:
     """A copy of the store that a test may write to; pages show it."""
     path = shutil.copytree(store, tmp_path / "own")
-    set_links(Links(store=str(path), key="key"), monkeypatch)
+    show(path)
     return path

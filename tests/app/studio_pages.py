@@ -3,7 +3,7 @@
 import base64
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pytest
@@ -23,6 +23,12 @@ address.visit(view.PATH)
 view.page()
 address.write()
 """
+
+
+class Show(Protocol):
+    """The fixture `show`: pages of this process show this store to a browser with the key."""
+
+    def __call__(self, store: Path, key: str = "key", **more: Any) -> None: ...
 
 
 def set_links(links: Links, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,6 +53,17 @@ def draw(view: str, **query: str | list[str]) -> AppTest:
         app.query_params[name] = value
     app.run()
     assert not app.exception, app.exception[0].message
+    return app
+
+
+def numbers_behind(**query: str) -> AppTest:
+    """Answer with its numbers opened."""
+    app = draw("answer", **query)
+    before = len(figures(app))
+    app.session_state["numbers behind"] = True  # as a click on its title does
+    app.run()
+    assert not app.exception
+    assert len(figures(app)) > before
     return app
 
 

@@ -1,23 +1,18 @@
 """The gallery in runs/: whole, small, told of in its README, and shown by every page."""
 
 import shutil
-from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-import streamlit as st
-from studio_pages import array, draw, figures, map_of, parts, set_links, trace
+from studio_pages import Show, array, draw, figures, map_of, parts, recorded, trace
 
 from app.data import studies
 from app.figures.weights import FLOOR
-from app.links import Links
 from app.views.curves.numbers import NO_SAC
 from tom import readable
 from tom.analysis.imagine import stored_step
-from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store
 from tom.record.files import read_json, size_of
 from tom.record.integrity import verify
@@ -31,7 +26,6 @@ README = RUNS / "README.md"
 BYTES = 27_000_000
 STUDIES_BYTES = 3_000_000
 ROAD = "road-and-rocks"
-HOPPER = ("mle", "pmac", "tom", "vagram")
 
 COPIES = small_copies(Store(RUNS))
 WEIGHINGS = [path for run in COPIES for path in of_run(RUNS, run.run_id)]
@@ -54,16 +48,9 @@ def gallery(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def shown(gallery: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    set_links(Links(store=str(gallery), key="key"), monkeypatch)
-    yield gallery
-    st.cache_data.clear()
-    st.cache_resource.clear()
-
-
-def values(run: RunReader, metric: str) -> tuple[list[int], list[float]]:
-    rows = run.metrics()[["env_step", metric]].dropna()
-    return rows["env_step"].tolist(), rows[metric].tolist()
+def shown(gallery: Path, show: Show) -> Path:
+    show(gallery)
+    return gallery
 
 
 def test_every_run_is_whole_and_says_how_it_was_made() -> None:
@@ -78,21 +65,6 @@ def test_every_run_is_whole_and_says_how_it_was_made() -> None:
 
 def test_its_readme_is_what_the_command_writes() -> None:
     assert README.read_text() == index(COPIES, WEIGHINGS)
-
-
-def test_it_has_every_learner_side_by_side() -> None:
-    found = Counter((run.env, run.learner) for run in COPIES)
-    assert {found["road-and-rocks", learner] for learner in ("mle", "pmac", "tom")} == {8}
-    pendulum = {name: found["inverted-pendulum", name] for name in LEARNER_NAMES}
-    assert {pendulum[name] for name in ("mle", "pmac")} == {5}
-    assert pendulum["tom"] == 10  # of two presets
-    assert {pendulum[name] for name in ("ratio", "vagram", "vagram-ensemble")} == {3}
-    hopper = {name: found["hopper", name] for name in HOPPER}
-    # TOM of two presets, and with weights in the model or in the starts alone; small models.
-    assert hopper == {"mle": 6 + 4, "pmac": 6, "tom": 6 + 6 + 4 + 4 + 4, "vagram": 2}
-    for robot in ("halfcheetah", "walker2d"):
-        assert [found[robot, name] for name in ("mle", "tom")] == [3, 3 + 3], robot
-    assert WEIGHINGS
 
 
 def test_it_is_small() -> None:
@@ -125,16 +97,9 @@ def test_its_studies_say_what_was_found_and_by_which_command() -> None:
 def test_curves_draws_its_returns(run: RunReader) -> None:
     [panel] = figures(draw("curves", task=run.env, find=run.run_id, panel="eval/return"))
     line = trace(panel, meta=run.run_id)
-    step, value = values(run, "eval/return")
+    step, value = recorded(RUNS, run.run_id)
     assert array(line["x"]).tolist() == step
     assert array(line["y"]) == pytest.approx(value)
-
-
-@pytest.mark.parametrize("run", MUJOCO)
-@pytest.mark.usefixtures("shown")
-def test_attention_draws_its_last_fit(run: RunReader) -> None:
-    drawn = figures(draw("attention", run=run.run_id))
-    assert array(drawn[1]["data"][0]["y"]) == pytest.approx(run.profiles().bins[-1].clip(FLOOR))
 
 
 @pytest.mark.usefixtures("shown")
@@ -147,8 +112,10 @@ def test_statistics_compare_no_recording_of_sac() -> None:
 
 @pytest.mark.parametrize("run", MUJOCO)
 @pytest.mark.usefixtures("shown")
-def test_its_buffer_can_be_looked_at(run: RunReader) -> None:
+def test_attention_draws_its_last_fit_and_its_buffer(run: RunReader) -> None:
     app = draw("attention", run=run.run_id, rows="true")
+    profile = array(figures(app)[1]["data"][0]["y"])
+    assert profile == pytest.approx(run.profiles().bins[-1].clip(FLOOR))
     weight = run.snapshot(run.snapshot_steps()[-1])["weight"]
     assert map_of(app)["sources"][-1]["count"] == len(weight)
     heaviest = app.dataframe[0].value["weight"].to_numpy().max()
@@ -171,7 +138,7 @@ def test_the_roads_weights_are_drawn_over_the_map(run: RunReader) -> None:
     app = draw("attention", run=run.run_id)
     (shown,) = parts(app, "tom_readout")
     numbers = {number["label"]: number["values"] for number in shown["numbers"]}
-    share = values(run, "weights/road_share")[1][-1]
+    share = recorded(RUNS, run.run_id, "weights/road_share")[1][-1]
     assert numbers["weight on the road"][-1] == readable.percent(share)
     assert trace(figures(app)[0], name="weights")
 

@@ -1,14 +1,11 @@
 """Curves and `tom reproduce returns` say the same of the gallery's runs."""
 
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import streamlit as st
-from studio_pages import draw, set_links
+from studio_pages import Show, draw
 
-from app.links import Links
 from tom.analysis.scores import BEST
 from tom.learners import LEARNERS
 from tom.record import Store
@@ -36,11 +33,8 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def shown(store: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    set_links(Links(store=str(store), key="key"), monkeypatch)
-    yield
-    st.cache_data.clear()
-    st.cache_resource.clear()
+def shown(store: Path, show: Show) -> None:
+    show(store)
 
 
 def reported(env: str, at: int | None = None) -> dict[str, dict]:

@@ -72,10 +72,6 @@ def test_more_learners_than_markers_share_markers(monkeypatch: pytest.MonkeyPatc
     assert {learner_symbol(name) for name in LEARNER_COLOURS} == set(SYMBOLS)
 
 
-def test_every_learner_of_the_registry_has_its_own_colour() -> None:
-    assert len({learner_colour(name) for name in LEARNERS}) == len(LEARNERS)
-
-
 def test_a_newcomer_in_the_registry_gets_a_spare_colour(monkeypatch: pytest.MonkeyPatch) -> None:
     entry = replace(LEARNERS["mle"], colour=None)
     monkeypatch.setitem(LEARNERS, "first", entry)

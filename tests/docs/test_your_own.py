@@ -51,14 +51,3 @@ def test_the_page_in_few_steps(folder: Path, capsys: pytest.CaptureFixture):
     report = json.loads(capsys.readouterr().out)
     assert report["rows"] == 150
     assert {row["learner"] for row in report["results"]} == {"tom", "pmac", "mle"}
-
-
-@pytest.mark.slow
-def test_the_page_as_it_stands(folder: Path):
-    train(folder)
-    assert main(WEIGH.split()) == 0
-    (made,) = (folder / "runs" / "weighings").iterdir()
-    results = json.loads((made / "report.json").read_text())["results"]
-    footprint = {row["learner"]: row["footprint"] for row in results}
-    assert footprint["mle"] == 1.0
-    assert footprint.keys() == {"tom", "pmac", "mle"}

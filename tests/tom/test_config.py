@@ -1,9 +1,19 @@
 import numpy as np
 import pytest
+from common import online
 from gymnasium.spaces import Box
 from pydantic import ValidationError
 
-from tom.config import ADDED, OnlineConfig, RolloutConfig, TomConfig, completed, flat, merged
+from tom.config import (
+    ADDED,
+    OnlineConfig,
+    RolloutConfig,
+    TomConfig,
+    completed,
+    flat,
+    in_words,
+    merged,
+)
 from tom.envs import task
 from tom.training.plan import Plan, Trial, trials
 from tom.training.presets import resolve
@@ -70,8 +80,7 @@ def test_a_rollout_length_alone_is_that_of_the_whole_training():
 @pytest.mark.parametrize("env", ["hopper", "walker2d", "halfcheetah", "ant", "humanoid"])
 def test_the_papers_entropy_is_that_of_actions_in_the_tasks_own_range(env: str):
     """The released code: -dim A there; of actions in [-1, 1] the half range's logs are more."""
-    config, known = resolve(env, "mle"), task(env)
-    assert isinstance(config, OnlineConfig)
+    config, known = online(env, "mle", preset=None), task(env)
     target = config.sac.target_entropy
     space = known.make().unwrapped.action_space
     assert isinstance(space, Box)
@@ -81,9 +90,7 @@ def test_the_papers_entropy_is_that_of_actions_in_the_tasks_own_range(env: str):
 
 def test_the_model_buffer_holds_what_janners_pool_holds():
     """rollout_batch_size * epoch_length / model_train_freq * rollout_length * retain_epochs."""
-    hopper, humanoid = resolve("hopper", "mle", "mbpo"), resolve("humanoid", "mle", "mbpo")
-    assert isinstance(hopper, OnlineConfig)
-    assert isinstance(humanoid, OnlineConfig)
+    hopper, humanoid = (online(env, "mle", preset="mbpo") for env in ("hopper", "humanoid"))
     assert hopper.rollout.kept_at(0, hopper.fit_every) == 400_000
     assert hopper.rollout.kept_at(150_000, hopper.fit_every) == 15 * 400_000
     assert humanoid.rollout.kept_at(0, humanoid.fit_every) == 5 * 100_000
@@ -126,3 +133,14 @@ def test_changes_come_on_top_group_by_group_and_leave_the_base_alone():
 def test_values_by_dotted_path_at_any_depth():
     nested = {"seed": 1, "a": {"b": {"c": None}, "d": [2]}, "empty": {}}
     assert flat(nested) == {"seed": 1, "a.b.c": None, "a.d": [2]}
+
+
+def test_a_configuration_is_flat_words() -> None:
+    config = {"seed": 1, "sac": {"lr": 3e-4, "target_entropy": None}, "x": True}
+    assert in_words(config) == {
+        "seed": "1",
+        "sac.lr": "0.0003",
+        "sac.target_entropy": "none",
+        "x": "true",
+    }
+    assert in_words("damaged") == {}

@@ -130,15 +130,20 @@ def test_the_backend_knows_nothing_of_the_studio(path: Path):
         assert "rerun" not in top
 
 
+def loaded(code: str) -> set[str]:
+    """The modules of a process that runs this line of Python, and ends well."""
+    script = f"import sys\ntry:\n    {code}\nfinally:\n    print(*sys.modules, file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    return set(done.stderr.split())
+
+
 def test_reading_a_run_imports_little():
     """What a page or a script that reads a run waits for: no simulator, no writer, no learner."""
-    code = "import sys, tom.record; print(*sys.modules)"
-    loaded = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
-    ).stdout.split()
-    ours = {name for name in loaded if name.partition(".")[0] == "tom"}
+    found = loaded("import tom.record")
+    ours = {name for name in found if name.partition(".")[0] == "tom"}
     assert len(ours) <= 22, sorted(ours)
-    assert not {"torch", "mujoco", "gymnasium", "rerun", "scipy"} & set(loaded)
+    assert not {"torch", "mujoco", "gymnasium", "rerun", "scipy"} & found
 
 
 LIBRARIES = {"torch", "scipy", "matplotlib", "mujoco", "gymnasium", "rerun", "streamlit"}
@@ -153,18 +158,7 @@ LIBRARIES = {"torch", "scipy", "matplotlib", "mujoco", "gymnasium", "rerun", "st
     ],
 )
 def test_a_command_that_only_reads_imports_no_heavy_library(words: list[str], others: set[str]):
-    code = f"""
-import sys
-from tom.cli import main
-try:
-    main({words})
-finally:
-    print(*sys.modules, file=sys.stderr)
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0
-    assert done.stdout
-    assert not (LIBRARIES | others) & set(done.stderr.split())
+    assert not (LIBRARIES | others) & loaded(f"from tom.cli import main; main({words})")
 
 
 @pytest.mark.parametrize(
@@ -177,11 +171,7 @@ finally:
     ],
 )
 def test_a_server_of_the_studio_starts_without_heavy_libraries(module: str, its_own: set[str]):
-    code = f"import sys, {module}; print(*sys.modules)"
-    loaded = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
-    ).stdout.split()
-    assert LIBRARIES & set(loaded) == its_own
+    assert LIBRARIES & loaded(f"import {module}") == its_own
 
 
 def test_the_studio_reads_run_folders_through_one_module():

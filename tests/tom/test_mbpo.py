@@ -4,6 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from common import online
 from gymnasium import Wrapper
 from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.wrappers import TimeLimit
@@ -13,17 +14,13 @@ from tom.data.replay import ReplayBuffer
 from tom.data.transitions import TensorTransitions, Transitions
 from tom.dynamics.base import FitReport
 from tom.events import Collected, Evaluation, Event, Metrics, Notice, Weights
-from tom.learners import LEARNER_NAMES
 from tom.learners.base import FitContext, Weighting
 from tom.learners.mle import MleLearner
 from tom.mbpo import Mbpo
-from tom.training.presets import resolve
 
 
 def smoke(learner: str = "tom", **changes: object) -> OnlineConfig:
-    config = resolve("inverted-pendulum", learner, "smoke", changes)
-    assert isinstance(config, OnlineConfig)
-    return config
+    return online("inverted-pendulum", learner, changes)
 
 
 def run(config: OnlineConfig) -> tuple[Mbpo, list[Event]]:
@@ -229,20 +226,10 @@ def test_evaluation_leaves_the_training_alone():
         assert torch.equal(a, b)
 
 
-@pytest.mark.parametrize("learner", LEARNER_NAMES)
-def test_same_seed_same_bits(learner: str):
-    first, second = (run(smoke(learner, steps=350)) for _ in range(2))
-    for a, b in zip(of(first[1], Metrics), of(second[1], Metrics), strict=True):
-        assert a.env_step == b.env_step
-        np.testing.assert_equal(a.values, b.values)
-    for a, b in zip(of(first[1], Weights), of(second[1], Weights), strict=True):
-        np.testing.assert_array_equal(a.weight, b.weight)
-
-
 def test_it_begins_to_balance():
     """The short version of `tom bench learn`: soon several times better than random actions."""
-    config = resolve("inverted-pendulum", "mle", "paper", {"steps": 550, "updates_per_step": 6})
-    assert isinstance(config, OnlineConfig)
+    changes = {"steps": 550, "updates_per_step": 6}
+    config = online("inverted-pendulum", "mle", changes, "paper")
     events = run(config)[1]
     at_random = [
         e.values["train/length"] for e in of(events, Metrics) if "train/length" in e.values

@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 
 from app.data.exams import Exams, at_fit, exams_of, ranking
-from tom.analysis import statistics
 from tom.analysis.scores import counted_from
 
 NAN = float("nan")
@@ -74,27 +73,6 @@ def test_who_errs_least_comes_first_by_the_medians_of_the_runs() -> None:
     assert found.ranked[0].typical == pytest.approx(0.12)
     assert found.ranked[0].rollout_error == pytest.approx(2 * found.ranked[0].error)
     assert (found.first_beats_second.value, found.first_beats_second.low) == (1, 1)
-
-
-def test_equal_learners_differ_by_no_more_than_noise() -> None:
-    draws = np.random.default_rng(0).lognormal(size=(12, 20))
-    runs = [sat("TOM" if i % 2 else "MLE", i, draws[i].tolist()) for i in range(12)]
-    beats = ranking(runs).first_beats_second
-    assert beats.low < 0.5 < beats.high
-    first, second = (-one.error for one in ranking(runs).ranked)
-    again = statistics.probability_of_improvement([first], [second])
-    assert beats == again
-
-
-def test_few_seeds_are_compared_over_the_steps_that_every_run_reaches() -> None:
-    # The same errors at the same steps: the longer runs must not be called better.
-    errors = [0.9, 0.8, 0.4, 0.1, 0.1]
-    long = [sat("TOM", seed, errors) for seed in range(2)]
-    short = [sat("MLE", seed, errors[:3]) for seed in range(2)]
-    found = ranking([*long, *short])
-    assert (found.until, found.ranked) == (300, ())
-    assert [one.error.tolist() for one in found.standings] == [[0.8, 0.8], [0.8, 0.8]]
-    assert [one.fits for one in found.standings] == [6, 6]
 
 
 def test_fits_from_before_every_run_weighs_do_not_count() -> None:

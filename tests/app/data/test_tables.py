@@ -1,6 +1,7 @@
 """The tables that a reader takes away."""
 
 import io
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -18,16 +19,6 @@ def curve(seed: int, value: list[float], learner: str = "tom") -> Curve:
 @pytest.fixture
 def grouped() -> list[Group]:
     return groups([curve(0, [0, 8, 4]), curve(1, [2, 4, 8]), curve(0, [1, 1], "mle")])
-
-
-def test_the_summary_says_final_best_and_n(grouped: list[Group]) -> None:
-    table = tables.summary(grouped).set_index("learner")
-    tom, mle = table.loc["TOM"], table.loc["MLE"]
-    assert (tom["n"], tom["seeds"], tom["steps"]) == (2, "0, 1", 200)
-    assert (tom["final"], tom["best"]) == (6, 8)
-    assert (tom["final low"], tom["final high"]) == (4, 8)
-    assert mle["n"] == 1
-    assert np.isnan(mle["final low"])
 
 
 def test_the_summary_counts_no_longer_run_beyond_the_shortest() -> None:
@@ -70,3 +61,11 @@ def test_every_point_of_every_run_is_there(grouped: list[Group]) -> None:
     table = tables.runs(curves)
     assert len(table) == sum(len(c.step) for c in curves)
     assert table[table["run"] == "tom-1"]["value"].tolist() == [2, 4, 8]
+
+
+def test_settings_have_a_column_for_each_run() -> None:
+    one, other = SimpleNamespace(settings={"y": "2"}), SimpleNamespace(settings={"y": "3"})
+    frame = tables.settings([one, other], ["one", "one"])  # pyright: ignore[reportArgumentType]
+    assert list(frame.columns) == ["setting", "one", "one (2)"]
+    assert frame.loc[0].tolist() == ["y", "2", "3"]
+    assert tables.settings([one], ["one"]).empty  # pyright: ignore[reportArgumentType]

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from kernel import wait_for
 from studio_runs import PENDULUM_TOM
 
 from app.data import trainings
@@ -19,13 +20,6 @@ from tom.record.store import Store
 
 WAIT_S = 60
 SMALL = ["--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", "--steps", "100000"]
-
-
-def wait_for(true) -> None:
-    deadline = time.monotonic() + WAIT_S
-    while not true():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 def test_a_training_is_started_and_stopped(tmp_path: Path) -> None:

@@ -26,14 +26,11 @@ from app.figures.road import road_map
 from app.figures.statistics import Improvement, improvement
 from app.figures.weights import (
     MAP_COLUMNS,
-    bin_centres,
     side_by_side,
     weight_map,
     weight_profile,
     with_returns,
 )
-from app.parts import widgets
-from app.theme import learner_colour
 from tom.analysis.curves import GRID, Curve, aggregate
 from tom.analysis.statistics import Interval
 from tom.record.decode import Profiles
@@ -75,16 +72,6 @@ def test_traces_have_names_that_are_css_classes_whatever_a_group_is_called() -> 
     assert len(ids) == 3 + len(group.curves) * 2
     assert all(re.fullmatch("[a-z0-9]+", uid) for uid in ids)
     assert len(set(ids[:-2])) == len(ids) - 2
-
-
-def test_a_curve_shows_what_was_recorded(store: Path) -> None:
-    curve = widgets.curve(info(store, PENDULUM_TOM), "eval/return")
-    (line,) = traces(run_curves([curve], "eval/return", 300, legend=True))
-    frame = RunReader(store / PENDULUM_TOM).metrics()[["env_step", "eval/return"]].dropna()
-    assert line.x.tolist() == frame["env_step"].tolist()
-    assert line.y.tolist() == frame["eval/return"].tolist()
-    assert line.line.color == learner_colour("tom")
-    assert PENDULUM_TOM in line.hovertemplate
 
 
 def test_a_long_curve_is_thinned_and_says_so() -> None:
@@ -166,13 +153,6 @@ def test_where_runs_are_missing_the_mean_is_dotted() -> None:
     assert dotted.customdata[-1] == 1
 
 
-def test_the_map_has_a_column_a_fit_and_a_row_a_bin(profiles: Profiles) -> None:
-    heat = traces(weight_map(profiles, "light", 300))[0]
-    assert heat.x.tolist() == profiles.env_step.tolist()
-    assert np.asarray(heat.customdata).tolist() == profiles.bins.T.tolist()
-    assert heat.y[0] == 0.5  # the oldest hundredth at the bottom
-
-
 def test_a_run_with_one_fit_has_a_column_that_can_be_seen_and_clicked(profiles: Profiles) -> None:
     one = Profiles(*(getattr(profiles, field.name)[:1] for field in fields(Profiles)))
     heat = traces(weight_map(one, "light", 300))[0]
@@ -180,13 +160,6 @@ def test_a_run_with_one_fit_has_a_column_that_can_be_seen_and_clicked(profiles: 
     assert (left + right) / 2 == step
     assert right - left >= max(0.04 * step, 1)
     assert np.asarray(heat.z).shape == (one.bins.shape[1], 1)
-
-
-def test_relative_colours_are_octaves_of_the_weight(profiles: Profiles) -> None:
-    heat = traces(weight_map(profiles, "dark", 300))[0]
-    assert heat.z == pytest.approx(np.log2(profiles.bins.T).clip(-4, 4))
-    assert np.asarray(heat.customdata).tolist() == profiles.bins.T.tolist()
-    assert -heat.zmin == heat.zmax == span(profiles.bins)
 
 
 def test_octaves_clip_and_keep_gaps() -> None:
@@ -219,13 +192,6 @@ def test_side_by_side_is_thinned_and_says_so(profiles: Profiles) -> None:
     assert len(heat.x) <= MAP_COLUMNS
     assert notes(figure)[-1] == f"returns thinned to {POINTS} points a line<br>a: 400 of 1000 fits"
     assert notes(side_by_side([("a", long_curve(9), profiles)], "light", 400)) == ["a"]
-
-
-def test_a_profile_shows_the_bins(profiles: Profiles) -> None:
-    bars = traces(weight_profile(profiles.bins[-1], "pmac", 300))[0]
-    assert bars.y == pytest.approx(profiles.bins[-1].clip(0.01))
-    assert bars.x.tolist() == bin_centres(100).tolist()
-    assert bars.marker.color == learner_colour("pmac")
 
 
 def test_the_road_map_shows_the_picture(store: Path) -> None:

@@ -216,22 +216,3 @@ def test_bars_of_intervals_are_drawn() -> None:
     shown = rows(message(GROUPS))
     shown["traces"][0]["bars"]["color"] = "#12ab34"
     assert "#12ab34" in paper_figure(shown, "one", "svg").decode()
-
-
-WRONG: list[Any] = [
-    {}, [], "a figure", None, {"traces": []},
-    message(GROUPS, traces=[{"axes": "xy"}]), message(GROUPS, axes={}),
-    message(GROUPS, ratio="wide"), message(GROUPS, annotations=[{"xref": "paper"}]),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("shown", WRONG)
-def test_what_is_no_figure_raises_what_the_page_answers_to(shown: Any) -> None:
-    with pytest.raises((ValueError, TypeError, KeyError, IndexError)):
-        paper_figure(shown, "one", "svg")
-
-
-@pytest.mark.parametrize(("width", "kind"), [("wide", "pdf"), ("one", "exe"), ("one", "ps")])
-def test_another_width_or_format_raises(width: str, kind: str) -> None:
-    with pytest.raises((ValueError, KeyError)):
-        paper_figure(message(GROUPS), width, kind)

@@ -9,6 +9,8 @@ from app.parts import cards, form
 from tom.cli.parser import leaf_fields
 from tom.config import OnlineConfig
 from tom.errors import UserError
+from tom.learners import LEARNERS, LearnerEntry
+from tom.learners.mle import MleLearner
 
 
 def test_every_setting_that_matters_is_a_field() -> None:
@@ -44,19 +46,6 @@ def test_words_that_are_no_seeds(words: str) -> None:
         form.seeds(words)
 
 
-def test_the_command_is_what_a_terminal_takes() -> None:
-    words = form.command("hopper", "tom", "smoke", 3, {"sac.lr": "0.001", "steps": "700"}, "/a b")
-    assert form.shown(words) == (
-        "tom train --env hopper --learner tom --preset smoke --seed 3 --sac.lr=0.001 --steps=700 "
-        "--store '/a b'"
-    )
-
-
-def test_a_value_out_of_bounds_is_refused_before_anything_runs() -> None:
-    with pytest.raises(UserError, match=r"sac\.discount 2"):
-        form.command("hopper", "tom", "paper", 0, {"sac.discount": "2"}, "runs")
-
-
 def test_a_training_that_only_explores_is_refused() -> None:
     with pytest.raises(UserError, match="all exploration"):
         form.command("hopper", "tom", "paper", 0, {"steps": "12"}, "runs")
@@ -68,3 +57,24 @@ def test_a_training_that_only_explores_is_refused() -> None:
 def test_the_command_to_go_on_names_the_store(store: Path) -> None:
     words = cards.resume(info(store, PENDULUM_TOM), "my runs")
     assert words == f"tom train --resume {PENDULUM_TOM} --store 'my runs'"
+
+
+@pytest.fixture
+def newcomer(monkeypatch: pytest.MonkeyPatch) -> str:
+    """A registered learner that reads a group of settings of its own."""
+    entry = LearnerEntry("New", lambda c, o, a, g: MleLearner(), group="rollout")
+    monkeypatch.setitem(LEARNERS, "new", entry)
+    return "new"
+
+
+def test_a_new_learners_settings_are_shown_for_it_alone(newcomer: str) -> None:
+    shown = {name: form.sections("hopper", name, "paper") for name in (newcomer, "mle", "tom")}
+    assert [name for name, groups in shown.items() if "rollout" in groups] == [newcomer]
+
+
+def test_every_learner_is_shown_the_settings_that_it_reads() -> None:
+    groups = {name: set(form.sections("hopper", name, "paper")) for name in LEARNERS}
+    own = {name: groups[name] & {"tom", "pmac", "vagram"} for name in LEARNERS}
+    assert own["mle"] == set()
+    assert own["ratio"] == own["tom"] == {"tom"}
+    assert own["vagram"] == own["vagram-ensemble"] == {"vagram"}

@@ -1,7 +1,7 @@
 """What a chart reports becomes plain values; the page is told where its server is."""
 
 from app.parts import plot
-from app.parts.plot import Follow, Point, Region, View
+from app.parts.plot import Point, Region, View
 from app.servers import pages
 
 
@@ -22,16 +22,6 @@ def test_a_region_has_points_and_an_outline() -> None:
 
 def test_a_view_has_the_shown_part_of_each_axis_and_none_for_all_of_it():
     assert View.of({"x": [1, "2.5"], "y": None}) == View((1.0, 2.5), None)
-
-
-def test_what_follows_the_timeline_has_the_values_of_each_trace_at_its_steps():
-    follow = Follow(steps=[100, 200], traces={1: [[1.0, 2.0], [3.0, 4.0]]})
-    assert follow.message() == {
-        "cursor": False,
-        "steps": [100, 200],
-        "traces": [{"index": 1, "y": [[1.0, 2.0], [3.0, 4.0]]}],
-    }
-    assert Follow(cursor=True).message() == {"cursor": True, "steps": [], "traces": None}
 
 
 def test_plotly_is_served_from_this_machine() -> None:

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studio_pages import draw, set_links
+from studio_pages import Show, draw
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import readers
-from app.links import Links
 from app.scenes.film import cinema, ghosts
 from app.scenes.film.story import body, may_be_told, story
 from app.servers.cinema import opened, video
@@ -86,10 +85,10 @@ def test_the_page_offers_the_film() -> None:
 
 @pytest.mark.usefixtures("studio")
 def test_the_film_has_the_name_that_the_run_has_now(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    store: Path, tmp_path: Path, show: Show
 ) -> None:
     shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
-    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    show(tmp_path)
     app = draw("replays", part="Film")
     label(Store(tmp_path), PENDULUM_TOM, name="the long one")
     [film] = app.run().get("iframe")

@@ -1,14 +1,14 @@
 """The viser server's process: frames that connect, and what they then do."""
 
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
 import msgspec
 import pytest
 import viser
+from kernel import wait_for
 from studio_pages import answers
 from studio_runs import PENDULUM_TOM
 from viser import _messages
@@ -53,13 +53,6 @@ def frame_of_a_page(served: SceneServer) -> ClientConnection:
     )
     opened.send(msgspec.msgpack.encode(CAMERA.as_serializable_dict()))
     return opened
-
-
-def wait_for(what: Callable[[], bool]) -> None:
-    until = time.monotonic() + 60
-    while not what() and time.monotonic() < until:
-        time.sleep(0.02)
-    assert what()
 
 
 def only_frame(served: SceneServer) -> ReplayFrame | None:

@@ -5,7 +5,6 @@ import queue
 import re
 import socket
 import threading
-import time
 from collections.abc import Iterator
 from multiprocessing.connection import Client
 from pathlib import Path
@@ -15,13 +14,13 @@ import numpy as np
 import pytest
 import viser
 import zstandard
+from kernel import wait_for
 from studio_pages import answers
 from studio_runs import ROAD_MLE, ROAD_TOM
 
 from app.data import road
 from app.data.road import CELLS, on_road
 from app.scenes import road as scene
-from app.scenes import solids
 from app.scenes.control import (
     Choice,
     ReplayChoice,
@@ -128,13 +127,6 @@ def test_every_map_is_in_the_picture_however_wide_it_is(count: int, aspect: floa
             assert abs(seen @ up) < half
 
 
-def test_cars_drive_the_recorded_ways(picture: road.Picture) -> None:
-    way = picture.learnt[0]
-    car = solids.car(way, 0.1)
-    assert car.position[:, 0, :2] == pytest.approx(way, abs=1e-6)
-    assert (car.position[..., 2] > 0.1).all()
-
-
 def test_the_flat_picture_is_clear_where_nothing_was_recorded() -> None:
     grid = np.full((CELLS, CELLS), np.nan)
     grid[0, 3] = 100
@@ -175,9 +167,7 @@ def told(tmp_path: Path) -> tuple[str, queue.Queue[tuple[str, Selection]]]:
         told.put((page, selection))
 
     threading.Thread(target=listen, args=(path, select, lambda _: None), daemon=True).start()
-    until = time.monotonic() + 10
-    while not answers(path) and time.monotonic() < until:
-        time.sleep(0.02)
+    wait_for(lambda: answers(path))
     return path, told
 
 

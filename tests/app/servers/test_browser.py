@@ -43,7 +43,6 @@ def test_a_visit_to_every_page(visit: Visit, own: Path) -> None:
     page.goto(f"{visit.links.address}/road?run={ROAD_TOM}")  # as older studios had it
     wait_until_drawn(page.locator("iframe").first, 0.03)  # viser: columns of weight
     keep_the_chosen_run(visit)
-    follow_a_short_link(visit)
     assert visit.asked <= LOCAL
 
 
@@ -128,19 +127,3 @@ def see_it_in_rerun(page: "Page") -> None:
     assert answer.value.ok
     # Only the scene: the viewer's buttons and its curve are coloured without any robot.
     wait_until_drawn(page.locator("iframe"), 0.002, top=0.65)
-
-
-def follow_a_short_link(visit: Visit) -> None:
-    """Who opens it sees the same."""
-    page = visit.page
-    page.goto(f"{visit.links.address}/compare?env=inverted-pendulum&logy=true")
-    page.get_by_text("1000 resamples").wait_for()
-    page.get_by_role("button", name="Link").click()
-    page.get_by_role("button", name="Make a short link").click()
-    link = page.get_by_text("/v/").first
-    link.wait_for()
-    page.goto(link.inner_text())
-    drawn(page)
-    assert asked(page) == {"task": ["inverted-pendulum"], "logy": ["true"]}
-    page.get_by_role("button", name="Lines", exact=True).click()
-    assert page.get_by_role("switch", name="log y").is_checked()

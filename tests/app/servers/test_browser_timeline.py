@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from studio_browser import NEEDS_BROWSER, Visit, asked, lines, settle, until
+from studio_browser import NEEDS_BROWSER, Visit, settle, until
 from studio_runs import PENDULUM_TOM
 
 from tom.record.reader import RunReader, at_or_before
@@ -82,18 +82,3 @@ def test_the_timeline_moves_numbers_and_profile_before_the_server_hears_of_it(
     assert [one["step"] for one in seen(page)[before:]][: len(stops)] == stops
     assert page.locator(".timeline output").inner_text() == f"step {stops[-1]:,}"
     page.get_by_role("button", name="Play", exact=True).wait_for()  # and no longer Pause
-
-
-@pytest.mark.quick
-def test_an_eye_shut_by_keyboard_takes_its_line_away_and_back_brings_it(visit: Visit) -> None:
-    page = visit.page
-    page.goto(visit.links.opened("curves?task=inverted-pendulum"))
-    until(page, lambda: {"MLE", "TOM"} <= lines(page), "not two lines")
-    page.get_by_role("button", name="Hide MLE", exact=True).focus()
-    page.keyboard.press("Enter")
-    until(page, lambda: "MLE" not in lines(page), "the line of MLE has stayed")
-    settle(page, "hide=MLE")
-    assert page.evaluate("document.activeElement.ariaLabel") == "Show MLE"
-    page.go_back()
-    until(page, lambda: {"MLE", "TOM"} <= lines(page), "the line of MLE is not back")
-    assert "hide" not in asked(page)

@@ -119,22 +119,12 @@ def test_another_port_gets_no_key_from_the_browser(opened: tuple[Links, "Browser
         assert all(links.key not in cookie for cookie in cookies)
 
 
-def test_another_port_opens_no_socket(opened: tuple[Links, "Browser"], foreign: "Page") -> None:
+def test_another_port_reaches_nothing(opened: tuple[Links, "Browser"], foreign: "Page") -> None:
     links, _ = opened
     for path in ("_stcore/stream", "viser/page"):
         assert foreign.evaluate(SOCKET, f"ws://127.0.0.1:{links.port}/{path}") == "refused"
-
-
-def test_another_port_reads_nothing(opened: tuple[Links, "Browser"], foreign: "Page") -> None:
-    links, _ = opened
     for path in ("", "viser/page/", "rerun/", "api/health"):
         assert foreign.evaluate(READ, f"{links.address}/{path}") == "refused"
-
-
-def test_another_port_shows_no_page_in_a_frame(
-    opened: tuple[Links, "Browser"], foreign: "Page"
-) -> None:
-    links, _ = opened
     for path in ("", "viser/page/", "rerun/"):
         foreign.evaluate(FRAME, f"{links.address}/{path}")
         assert foreign.frames[-1].url == "chrome-error://chromewebdata/", path

@@ -15,15 +15,23 @@ from pathlib import Path
 from threading import Barrier, Event
 
 import pytest
-from kernel import LOOPBACK, alive, descendants, listening
+from kernel import LOOPBACK, alive, descendants, listening, wait_for
 from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 from app.__main__ import main
+from app.links import Links
 from app.servers import launcher
 from app.servers.launcher import Server, Studio, is_free, serving
 from tom.machine.address import free_port
 
 START_S = 90
+STUBBORN = """
+import signal, subprocess, sys, time
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+print("up", flush=True)
+time.sleep(600)
+"""
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
@@ -65,10 +73,7 @@ def test_the_studio_serves_and_ends_without_orphans(store: Path, tmp_path: Path)
     finally:
         studio.send_signal(signal.SIGTERM)
         assert studio.wait(30) == 0
-    deadline = time.monotonic() + 10
-    while any(map(alive, children)) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not [pid for pid in children if alive(pid)]
+    wait_for(lambda: not any(map(alive, children)), 10)
     assert is_free("127.0.0.1", port)
 
 
@@ -124,6 +129,28 @@ def test_a_server_that_cannot_start_is_launched_once_and_says_why(
         assert running is None
     assert "a broken plotly" in capsys.readouterr().err
     assert launches.read_text() == "x"
+
+
+def test_a_stubborn_server_ends_with_its_own_children(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.servers.launcher.STOP_GRACE_S", 0.3)
+    stubborn = Server(
+        Links(port=1, folder=str(tmp_path), key="k"), [sys.executable, "-c", STUBBORN]
+    )
+    stubborn.start()
+    wait_for(lambda: "up" in stubborn.tail())
+    assert stubborn.process is not None
+    group = stubborn.process.pid
+    stubborn.stop()
+    deadline = time.monotonic() + 10
+    while time.monotonic() < deadline:
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)  # the grandchild waits for init to take note of its end
+    pytest.fail("a grandchild lives on")
 
 
 @pytest.mark.parametrize(

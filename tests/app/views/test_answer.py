@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from studio_pages import draw, set_links
+from studio_pages import Show, draw
 
 import tom
 from app.data import answer
 from app.data.answer import Contrast, Side
-from app.links import Links
 from tom.analysis.curves import Curve
 from tom.envs import ENVS
 from tom.record.decode import Profiles
@@ -48,8 +47,8 @@ def at(step: float, curve: list[tuple[int, float]]) -> float:
 
 
 @pytest.fixture
-def sentences(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    set_links(Links(store=str(RUNS), key="key"), monkeypatch)
+def sentences(show: Show) -> list[str]:
+    show(RUNS)
     page = draw("answer", task="hopper")
     return [one.value for one in page.markdown]
 

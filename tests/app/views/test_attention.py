@@ -10,7 +10,7 @@ import streamlit as st
 from numpy.typing import NDArray
 from streamlit.testing.v1 import AppTest
 from studio_pages import array, captions, draw, figures, is_chart, parts, recorded
-from studio_runs import PENDULUM_TOM, ROAD_TOM
+from studio_runs import PENDULUM_TOM
 
 from app.data.answer import newest_fifth
 from app.figures.weights import FLOOR
@@ -35,11 +35,6 @@ def weights(store: Path, fit: int) -> NDArray[np.float64]:
     return RunReader(store / PENDULUM_TOM).snapshot(fit)["weight"].to_numpy(np.float64)
 
 
-def step_shown(app: AppTest) -> int:
-    (shown,) = parts(app, "tom_timeline")
-    return shown["step"]
-
-
 def follows(app: AppTest) -> list[dict[str, Any] | None]:
     """How each of the page's charts follows the timeline."""
     protos = [part.proto for part in app.get("bidi_component") if is_chart(part.proto)]
@@ -52,6 +47,7 @@ def test_the_map_the_returns_and_the_profile_are_those_of_the_files(store: Path)
     app = draw("attention", run=PENDULUM_TOM, step=str(fits[1]["env_step"]))
     heat, bars = figures(app)[:2]
     assert array(heat["data"][0]["x"]).tolist() == [fit["env_step"] for fit in fits]
+    assert array(heat["data"][0]["y"])[0] == 0.5  # the oldest hundredth at the bottom
     assert array(heat["data"][0]["z"]) == pytest.approx(np.log2(bins.T.clip(1 / 16, 16)))
     returns = heat["data"][1]
     shown = array(returns["x"]).tolist(), array(returns["y"]).tolist()
@@ -95,46 +91,11 @@ def test_panels_follow_the_timeline_with_every_fit(store: Path) -> None:
     assert others == [None] * len(others)
 
 
-def test_the_step_is_the_last_stop_that_is_not_after_the_addresss(store: Path) -> None:
-    run = RunReader(store / PENDULUM_TOM)
-    stops = sorted({fit["env_step"] for fit in lines(store)} | set(run.evaluation_steps()))
-    for asked in (0, *stops, stops[1] + 1, stops[-1] + 99):
-        expected = max([stop for stop in stops if stop <= asked], default=stops[0])
-        app = draw("attention", run=PENDULUM_TOM, step=str(asked))
-        (shown,) = parts(app, "tom_timeline")
-        assert shown["step"] == expected
-        assert set(shown["given"]["stops"]) <= set(stops)
-        last = expected == stops[-1]
-        assert app.query_params.get("step") == (None if last else str(expected))
-
-
-@pytest.mark.parametrize("words", ["", "two", "nan", "-3", "1e400"])
-def test_an_address_of_no_step_is_at_the_end(words: str) -> None:
-    app = draw("attention", run=PENDULUM_TOM, step=words)
-    (shown,) = parts(app, "tom_timeline")
-    assert shown["step"] == shown["given"]["stops"][-1]
-
-
 def test_a_click_goes_to_the_fit_there_or_the_last_before(store: Path) -> None:
     for x, step in ((200, 200), (249.6, 200), (10, 200)):
         _go_to([200, 250], Point(x, 0, 0, None))
         assert st.session_state[timeline.STEP] == step
     del st.session_state[timeline.STEP]
-
-
-def test_the_last_fit_is_followed_until_another_is_chosen(own: Path) -> None:
-    record, fit, steps = own / RECORD, lines(own)[-1], (200, 400, 500, 600)
-    content = [json.dumps(fit | {"env_step": step}) + "\n" for step in steps]
-    record.write_text("".join(content[:2]))
-    app = draw("attention", run=PENDULUM_TOM)
-    assert step_shown(app) == steps[1]
-    record.write_text("".join(content[:3]))
-    assert step_shown(app.run()) == steps[2]
-    app.session_state[timeline.STEP] = steps[0]
-    app.run()
-    record.write_text("".join(content))
-    assert step_shown(app.run()) == steps[0]
-    assert not app.exception
 
 
 def test_a_fit_that_kept_no_single_weights_shows_the_last_that_did(own: Path) -> None:
@@ -184,14 +145,6 @@ def test_a_run_whose_profiles_are_damaged_is_named(own: Path) -> None:
     app = draw("attention", run=PENDULUM_TOM)
     assert not figures(app)
     assert any("line 1 is damaged" in warning.value for warning in app.warning)
-
-
-def test_a_step_of_another_run_is_none_of_this() -> None:
-    app = draw("attention", run=PENDULUM_TOM, step="300", task="every task")
-    app.session_state["run"] = [ROAD_TOM]
-    app.run()
-    assert not app.exception
-    assert step_shown(app) == 60
 
 
 @pytest.mark.parametrize("bins", [3, 7, 64, 100])

@@ -2,7 +2,6 @@
 
 import json
 import tempfile
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from studio_pages import array, captions, draw, figures, set_links
+from kernel import wait_for
+from studio_pages import Show, array, captions, draw, figures
 from studio_runs import PENDULUM_TOM, WAITING, info, stand_in, undescribed, with_weighing
 
 from app.data import buffer_map, trainings, weighings
 from app.data.weighings import Brushed, Weighing
 from app.figures.why import error_bars
-from app.links import Links
 from app.theme import Mode
 from app.views.attention.brush import BEGUN, command
 from app.views.attention.row_list import table
@@ -28,7 +27,6 @@ from tom.reports.weighing_files import REPORT, WEIGHTS, copy_small
 
 FIT = 300
 in_buffer = partial(draw, "attention", rows="true")
-WAIT_S = 60
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +42,10 @@ def made(store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def brushed(
-    studio: Links, store: Path, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Path:
+def brushed(store: Path, made: Path, tmp_path: Path, show: Show) -> Path:
     """The studio shows a store with that brush."""
     there = with_weighing(store, made, tmp_path)
-    set_links(Links(store=str(there), key="key"), monkeypatch)
+    show(there)
     return there
 
 
@@ -142,7 +138,7 @@ def test_a_damaged_report_is_no_brush(model: object, results: object, tmp_path: 
 
 
 def test_the_rows_of_a_brush_are_kept_until_it_ends(
-    studio: Links, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    studio: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trainings, "start", lambda words: stand_in(words, WAITING))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
@@ -154,10 +150,7 @@ def test_the_rows_of_a_brush_are_kept_until_it_ends(
         app.button(key=f"cancel {BEGUN}").click().run()
     finally:
         begun.process.kill()
-    deadline = time.monotonic() + WAIT_S
-    while list(tmp_path.iterdir()):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    wait_for(lambda: not list(tmp_path.iterdir()))
 
 
 def test_a_brush_that_failed_says_so_until_the_next(brushed: Path) -> None:

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as hypothesis
 from scipy.stats import mannwhitneyu
 from streamlit.testing.v1 import AppTest
-from studio_pages import PAGE, TIMEOUT_S, array, captions, draw, figures, recorded, trace
+from studio_pages import PAGE, TIMEOUT_S, array, captions, draw, figures, parts, recorded, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM, set_status
 
 from app.data.tables import default_level
@@ -29,7 +29,7 @@ from app.views import curves as page
 from app.views.curves import measure, numbers, unlike_ends, zoom
 from app.views.curves.measure import in_order
 from tom.analysis.curves import Curve, Group, aggregate
-from tom.analysis.scores import BEST, FINAL, HEIGHT, scores_of
+from tom.analysis.scores import BEST, FINAL
 from tom.errors import UserError
 from tom.plugins import CHARTS
 from tom.record import layout, manage
@@ -51,12 +51,6 @@ def curves(part: str = "Curves", task: str = PENDULUM, **query: str | list[str])
 def click(app: AppTest, key: str) -> None:
     app.button(key=key).click().run()
     assert not app.exception
-
-
-def parts(app: AppTest, name: str) -> list[dict]:
-    """What the browser gets for the components of this name."""
-    found = [part.proto for part in app.get("bidi_component")]
-    return [json.loads(proto.json) for proto in found if proto.component_name == name]
 
 
 def first(app: AppTest) -> dict:
@@ -352,16 +346,6 @@ def test_a_profile_has_the_same_band_beside_any_other_group(
         assert np.array_equal(before, after)
 
 
-def test_scores_are_those_up_to_the_step_that_every_run_reaches() -> None:
-    step, value = np.array([100, 200, 300]), np.array([1.0, 5.0, 2.0])
-    group = [Curve("a", "ant", "tom", "paper", 0, step, value)]
-    assert scores_of(group, FINAL, 200).tolist() == [5]
-    assert scores_of(group, FINAL, 250).tolist() == [3.5]  # as the line has it
-    assert scores_of(group, BEST, 100).tolist() == [1]
-    assert scores_of(group, HEIGHT, 200).tolist() == [3]
-    assert scores_of(group, HEIGHT, 100).tolist() == [1]
-
-
 def test_rows_that_end_at_different_steps_are_told() -> None:
     def group(learner: str, last: int, env: str = "ant") -> Group:
         step = np.arange(100, last + 1, 100)
@@ -382,24 +366,7 @@ def test_the_level_lies_between_the_worst_and_the_best_run(
     assert default_level(np.array([3456.7])) == 3456.7
 
 
-def test_the_level_to_reach_is_in_the_address_until_another_score_is_chosen() -> None:
-    app = curves("Statistics", reach="2.25")
-    assert app.number_input[0].value == 2.25
-    app.number_input[0].set_value(3.5).run()
-    assert app.query_params["reach"] == "3.5"
-    app.selectbox(key="score").select(BEST).run()
-    assert app.number_input[0].value != 3.5
-    assert "reach" not in app.query_params
-
-
 # Settings and runs
-
-
-def test_settings_show_only_what_differs() -> None:
-    table = curves("Settings").dataframe[0].value.set_index("setting")
-    assert sorted(table.loc["seed"]) == ["0", "0", "1"]
-    assert sorted(table.loc["learner"]) == ["mle", "tom", "tom"]
-    assert "sac.lr" not in table.index
 
 
 def test_a_run_gets_a_name_is_found_by_it_and_goes_to_the_trash_and_back(own: Path) -> None:

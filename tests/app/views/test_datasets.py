@@ -2,19 +2,16 @@
 
 import shlex
 import shutil
-from collections.abc import Iterator
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-import streamlit as st
 import torch
-from studio_pages import draw, figures, map_of, set_links
+from studio_pages import Show, draw, figures, map_of
 
 from app.data import weighings
-from app.links import Links
 from app.router import VIEWS, View
 from app.scenes.states import reader_of
 from tom.cli import main
@@ -49,10 +46,8 @@ def weighed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def studio(weighed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    set_links(Links(store=str(weighed), key="key"), monkeypatch)
-    yield
-    st.cache_data.clear()
+def studio(weighed: Path, show: Show) -> None:
+    show(weighed)
 
 
 def named(weighed: Path, start: str) -> str:
@@ -94,7 +89,7 @@ def test_the_command_on_the_page_weighs_the_same_rows_again(
 
 
 def test_a_weighing_of_random_rows_and_those_of_a_step_shows_all_its_rows(
-    weighed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    weighed: Path, tmp_path: Path, show: Show
 ):
     of = [GALLERY_RUN, "--step", str(N), "--random", str(weighed.parent / "my buffer.npz")]
     by = ["--policy", "random", "--footprint", "50", "--learner", "pmac", "--seeds", "0"]
@@ -103,7 +98,7 @@ def test_a_weighing_of_random_rows_and_those_of_a_step_shows_all_its_rows(
     (found,) = weighings.datasets(str(tmp_path))
     (made,) = weighings.of_run(found, 2 * N)
     assert (made.step, made.end, made.missing(2 * N)) == (N, 2 * N, "")
-    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    show(tmp_path)
     app = in_buffer(run=found.run_id, weights="PMAC s0, both")
     assert map_of(app)["sources"][0]["count"] == 2 * N
 
@@ -115,11 +110,11 @@ def test_the_map_counts_the_rows_of_the_file(weighed: Path):
     assert map_of(app)["sources"][0]["count"] == N
 
 
-def test_weights_that_cannot_be_read_are_said(weighed: Path, tmp_path: Path, monkeypatch):
+def test_weights_that_cannot_be_read_are_said(weighed: Path, tmp_path: Path, show: Show):
     shutil.copytree(weighed, tmp_path / "store")
     for path in (tmp_path / "store").rglob("weights.parquet"):
         path.write_bytes(b"no parquet")
-    set_links(Links(store=str(tmp_path / "store"), key="key"), monkeypatch)
+    show(tmp_path / "store")
     assert "cannot be read" in in_buffer().warning[0].value
     assert "cannot be read" in on_one_buffer().warning[0].value
 

@@ -10,12 +10,11 @@ import pytest
 from streamlit.proto.ForwardMsg_pb2 import ForwardMsg
 from streamlit.runtime.scriptrunner_utils.script_run_context import ScriptRunContext
 from streamlit.testing.v1 import AppTest
-from studio_pages import TIMEOUT_S, draw, figures, set_links
+from studio_pages import TIMEOUT_S, Show, draw, figures
 from studio_runs import PENDULUM_TOM, ROAD_TOM, change
 
 from app.__main__ import _readable
 from app.data import readers, studies, weighings
-from app.links import Links
 from app.parts import shortlinks
 from app.router import VIEWS
 from tom.errors import UserError
@@ -50,10 +49,8 @@ REPEATING = {"replays": [5.0, 4.0]}
 """seconds between two looks, which draw nothing, at what may have begun elsewhere"""
 
 
-def test_the_pages_of_an_empty_store_say_what_to_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    set_links(Links(store=str(tmp_path / "new one"), key="key"), monkeypatch)
+def test_the_pages_of_an_empty_store_say_what_to_run(tmp_path: Path, show: Show) -> None:
+    show(tmp_path / "new one")
     app = AppTest.from_string("from app.router import run\nrun()", default_timeout=TIMEOUT_S).run()
     assert not app.exception
     commands = [code.value for code in app.code]

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from streamlit.testing.v1 import AppTest
-from studio_pages import array, captions, draw, figures, parts, recorded
+from studio_pages import array, captions, draw, figures, numbers_behind, parts, recorded
 from studio_runs import PENDULUM_TOM
 
 from app.data.exams import Exams, ranking
@@ -20,17 +19,6 @@ from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
 PENDULUM, PENDULUM_MLE = "inverted-pendulum", "pendulum-mle-0"
-
-
-def numbers_behind(**query: str) -> AppTest:
-    """Answer with its numbers opened."""
-    app = draw("answer", task=PENDULUM, **query)
-    before = len(figures(app))
-    app.session_state["numbers behind"] = True  # as a click on its title does
-    app.run()
-    assert not app.exception
-    assert len(figures(app)) > before
-    return app
 
 
 def test_attention_shows_the_exam_of_the_fit_that_is_looked_at(store: Path) -> None:
@@ -46,7 +34,7 @@ def test_attention_shows_the_exam_of_the_fit_that_is_looked_at(store: Path) -> N
 
 
 def test_the_numbers_behind_are_those_of_the_exams(store: Path) -> None:
-    app = numbers_behind()
+    app = numbers_behind(task=PENDULUM)
     [said] = [part.value for part in app.markdown if "Too few seeds" in part.value]
     # Only the last fits of TOM weigh, so only these count.
     tables = [RunReader(store / f"pendulum-tom-{seed}").metrics() for seed in (0, 1)]
@@ -78,7 +66,7 @@ def test_runs_are_named_that_sat_no_exam(own: Path) -> None:
     ]
     rows.write_text("".join(json.dumps(row) + "\n" for row in kept))
     (own / PENDULUM_MLE / layout.METRICS_TABLE).unlink(missing_ok=True)
-    app = numbers_behind()
+    app = numbers_behind(task=PENDULUM)
     (line,) = [words for words in captions(app).splitlines() if "no exam" in words]
     assert "MLE s0" in line
     assert "TOM" not in line

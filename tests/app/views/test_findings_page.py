@@ -11,7 +11,7 @@ from PIL import Image
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Route
-from studio_pages import draw, set_links
+from studio_pages import Show, draw
 from studio_runs import PENDULUM_TOM, change
 
 from app.data import readers, studies
@@ -104,13 +104,13 @@ def test_a_study_says_the_claim_the_verdict_and_the_command(reports: Path) -> No
 
 
 def test_studies_that_came_with_the_store_are_shown_and_ones_own_before_them(
-    reports: Path, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    reports: Path, store: Path, tmp_path: Path, show: Show
 ) -> None:
     shipped = shutil.copytree(store, tmp_path / "store") / "studies"
     for name in ("road", "tabular"):
         (shipped / name).mkdir(parents=True)
         write_report(Report(name, "shipped", ["found"]), shipped / name)
-    set_links(Links(store=str(shipped.parent), key="key"), monkeypatch)
+    show(shipped.parent)
     found = {study.name: study for study in studies.listing(*studies.folders(shipped.parent))}
     assert list(found) == ["road", "focus", "tabular"]
     assert found["road"].claim == "a claim"

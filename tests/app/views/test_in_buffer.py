@@ -1,6 +1,5 @@
 """Attention in the buffer: the map, the selection and what it chooses are the recorded rows."""
 
-import time
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
@@ -8,15 +7,15 @@ from threading import Thread
 
 import numpy as np
 import pytest
+from kernel import wait_for
 from numpy.typing import NDArray
 from streamlit.testing.v1 import AppTest
-from studio_pages import answers, draw, map_of, set_links
+from studio_pages import Show, answers, draw, map_of
 from studio_runs import PENDULUM_TOM, info
 
 from app.data import arrays, buffer, buffer_map, columns
 from app.data.buffer import WINDOW, Rows, windows
 from app.data.selection import between, inside
-from app.links import Links
 from app.parts import timeline
 from app.scenes import control, solids, states
 from app.views.attention.row_list import table
@@ -61,16 +60,13 @@ def test_only_dimensions_of_road_and_rocks_are_called_x_and_y() -> None:
     assert dimension_names(others, plane, ("position", "velocity"))[0] == ["position", "velocity"]
 
 
-def test_the_robots_are_those_of_the_timelines_fit(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_robots_are_those_of_the_timelines_fit(store: Path, tmp_path: Path, show: Show) -> None:
     told: SimpleQueue[control.Selection] = SimpleQueue()
     socket = str(tmp_path / "control")
     heard = socket, lambda _, selection: told.put(selection), lambda _: None
     Thread(target=control.listen, args=heard, daemon=True).start()
-    while not answers(socket):
-        time.sleep(0.05)
-    set_links(Links(store=str(store), key="key", port=1, folder=str(tmp_path)), monkeypatch)
+    wait_for(lambda: answers(socket))
+    show(store, port=1, folder=str(tmp_path))
     fits = RunReader(store / PENDULUM_TOM).snapshot_steps()
     app = in_buffer(run=PENDULUM_TOM, step=str(fits[0]))
     for fit in (fits[0], fits[-1]):
@@ -255,21 +251,3 @@ def test_a_row_has_its_episode_and_its_nearest(rows: Rows) -> None:
     gap = np.square((part - part[7]) / part.std(0)).sum(1)
     assert len(given["near"]) == 10
     assert len(set(given["near"]) & set(rows.first + np.argsort(gap)[1:11])) >= 8  # of other scales
-
-
-def test_saved_rows_are_those_of_the_fit(rows: Rows, store: Path) -> None:
-    run = info(store, PENDULUM_TOM)
-    saved = table(run, buffer_map.sources(run)[str(FIT)])
-    assert saved["weight"].to_numpy() == pytest.approx(rows.weight)
-    assert saved["obs_1"].to_numpy() == pytest.approx(np.asarray(rows.rows.obs)[:, 1])
-    assert saved["row"].tolist() == list(range(rows.first, rows.first + FIT))
-    assert {"contrast_0", "pc_1", "error", "policy_distance"} <= set(saved)
-    app = in_buffer(run=PENDULUM_TOM, step=str(FIT), where="age ..50")
-    [button] = app.get("download_button")
-    assert "150" in button.proto.label
-
-
-def test_at_an_evaluation_the_weights_are_those_of_the_last_fit_before(store: Path) -> None:
-    last = RunReader(store / PENDULUM_TOM).evaluation_steps()[-1]
-    assert last > FIT
-    assert len(chosen(in_buffer(run=PENDULUM_TOM, step=str(last)))) == FIT

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from studio_pages import array, captions, draw, figures, map_of, set_links, trace
+from studio_pages import Show, array, captions, draw, figures, map_of, trace
 from studio_runs import PENDULUM_TOM, info, with_weighing
 
 from app.data import buffer, weighings
-from app.links import Links
 from app.views.attention.learners import nearest
 from app.views.attention.weigh import FOREIGN
 from tom import plugins
@@ -42,12 +41,10 @@ def results(store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def weighed(
-    studio: Links, store: Path, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Path:
+def weighed(store: Path, results: Path, tmp_path: Path, show: Show) -> Path:
     """The studio shows a store with that weighing."""
     there = with_weighing(store, results, tmp_path)
-    set_links(Links(store=str(there), key="key"), monkeypatch)
+    show(there)
     return there / "weighings" / "made"
 
 
@@ -173,19 +170,6 @@ def test_a_policy_of_another_library_is_typed_in_a_terminal(monkeypatch: pytest.
     assert words[words.index("--policy") + 1] == "my policy.pt"
     assert words[-2:] == ["--plugin", "/somewhere/own.py"]
     assert "weigh" not in [button.key for button in app.button]
-
-
-@pytest.mark.slow
-def test_the_page_starts_a_weighing_and_shows_it() -> None:
-    app = on_one_buffer(run="pendulum-mle-0")
-    app.multiselect(key="weigh learners").set_value(["mle", "pmac"])
-    app.number_input(key="weigh seeds").set_value(1)
-    app.button(key="weigh").click().run()
-    begun = app.session_state["weighing"]
-    assert begun.process.wait(60) == 0, begun.tail()
-    app.run()
-    assert not app.exception
-    assert [trace(figures(app)[0], meta=name)["meta"] for name in ("mle", "pmac")]
 
 
 def test_the_buffers_map_can_show_a_weighings_weights(weighed: Path) -> None:

@@ -3,13 +3,14 @@
 import json
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from streamlit.testing.v1 import AppTest
-from studio_pages import array, captions, draw, figures, recorded, trace
+from studio_pages import array, captions, figures, numbers_behind, recorded, trace
 from studio_runs import PENDULUM_TOM, altered, info, set_status
 
 from app.data import buffer, readers
@@ -24,13 +25,7 @@ OTHER_TOM, MLE = "pendulum-tom-1", "pendulum-mle-0"
 ERRORS = "model/error_policy", "model/error_other"
 
 
-def numbers_behind() -> AppTest:
-    """Answer with its numbers opened."""
-    app = draw("answer", task="inverted-pendulum", run=PENDULUM_TOM)
-    app.session_state["numbers behind"] = True
-    app.run()
-    assert not app.exception
-    return app
+behind = partial(numbers_behind, task="inverted-pendulum", run=PENDULUM_TOM)
 
 
 def left_out(app: AppTest) -> list[str]:
@@ -44,7 +39,7 @@ def test_every_kept_model_is_asked_about_the_same_buffer(store: Path) -> None:
     assert own is not None
     assert theirs is not None
     assert len(own) == len(theirs) == 400
-    here, one_step, five_steps = figures(numbers_behind())[-3:]
+    here, one_step, five_steps = figures(behind())[-3:]
     for name, errors in (("TOM s0 (its own)", own), ("MLE s0", theirs)):
         assert array(trace(here, name=name)["y"]) == pytest.approx(errors.reshape(20, -1).mean(1))
     for figure, what in ((one_step, "error"), (five_steps, "rollout_error")):
@@ -58,7 +53,7 @@ def test_a_buffer_that_cannot_be_read_is_no_error(torn: str, own: Path) -> None:
     *others, last = sorted((own / PENDULUM_TOM / "buffer").glob("*.npz"))
     for segment in [*others, last] if torn == "every segment" else others:
         segment.write_bytes(b"torn")
-    drawn = figures(numbers_behind())
+    drawn = figures(behind())
     names = [line.get("name", "") for figure in drawn for line in figure["data"]]
     assert "MLE s0" not in names  # on this buffer
     assert trace(drawn[-1], meta=PENDULUM_TOM)
@@ -107,7 +102,7 @@ def test_runs_of_another_length_or_without_a_model_are_left_out_and_named(
     words = ["record-sac", "--env", "inverted-pendulum", "--steps", "200", "--run-id", "alone"]
     words += ["--exploration-steps", "100", "--sac.hidden", "16", "--evaluation.episodes", "1"]
     assert main([*words, "--store", str(own), "--no-rerun"]) == 0
-    app = numbers_behind()
+    app = behind()
     assert any("TOM s1" in line and "90" in line for line in left_out(app))
     assert any("SAC s0" in line for line in left_out(app))
     for figure in figures(app)[-3:]:
@@ -121,14 +116,14 @@ def test_a_run_that_measured_nothing_or_kept_no_model_is_named(own: Path) -> Non
     (run / layout.METRICS).write_text("".join(json.dumps(row) + "\n" for row in kept))
     (run / layout.METRICS_TABLE).unlink(missing_ok=True)
     shutil.rmtree(run / checkpoint.FOLDER)
-    said = left_out(numbers_behind())
+    said = left_out(behind())
     assert [("MLE" in words, "TOM" in words) for words in said] == [(True, False)] * 3
     assert ["model" in words for words in said] == [True, False, False]
 
 
 def test_a_run_without_a_buffer_has_its_part_in_what_was_recorded(own: Path) -> None:
     shutil.rmtree(own / MLE / "buffer")
-    *_, here, one_step, five_steps = figures(numbers_behind())
+    *_, here, one_step, five_steps = figures(behind())
     assert trace(here, name="MLE s0")
     assert trace(one_step, meta=MLE)
     assert trace(five_steps, meta=MLE)

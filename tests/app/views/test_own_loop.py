@@ -4,11 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import streamlit as st
 from streamlit.testing.v1 import AppTest
-from studio_pages import array, captions, draw, figures, set_links
+from studio_pages import Show, array, captions, draw, figures
 
-from app.links import Links
 from tom.own_loop.live import weigh_live
 from tom.own_loop.run import record
 
@@ -41,10 +39,8 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def shown(store: Path, monkeypatch: pytest.MonkeyPatch):
-    set_links(Links(store=str(store), key="key"), monkeypatch)
-    yield
-    st.cache_data.clear()
+def shown(store: Path, show: Show):
+    show(store)
 
 
 def has_returns(app: AppTest) -> bool:

@@ -11,11 +11,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
-from studio_pages import array, draw, figures, map_of, set_links
-from studio_runs import PENDULUM_TOM, undescribed
+from studio_pages import Show, array, draw, figures, map_of
+from studio_runs import PENDULUM_TOM, info, undescribed
 
-from app.data import buffer, readers, replays
-from app.links import Links
+from app.data import buffer, replays
 from app.scenes import solids, states
 from app.scenes.replay import track
 from tom.record import Store, layout
@@ -49,13 +48,9 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def shown(trained: Path, studio: Links, monkeypatch: pytest.MonkeyPatch) -> Path:
-    set_links(Links(store=str(trained), key="key"), monkeypatch)
+def shown(trained: Path, show: Show) -> Path:
+    show(trained)
     return trained
-
-
-def info(store: Path, run_id: str) -> RunReader:
-    return next(run for run in readers.listing(str(store)).runs if run.run_id == run_id)
 
 
 @pytest.mark.parametrize("run_id", [*MUJOCO, "absent-Swimmer-v5"])
@@ -158,15 +153,13 @@ class Heat(gym.Env):
 
 
 @pytest.mark.usefixtures("studio")
-def test_the_buffers_map_of_a_task_of_one_observation(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_buffers_map_of_a_task_of_one_observation(tmp_path: Path, show: Show) -> None:
     gym.register("Heat-v0", Heat, max_episode_steps=50)  # pyright: ignore[reportArgumentType]
     try:
         train(resolve("gymnasium:Heat-v0", "pmac", "smoke", SMALL), Store(tmp_path), "heat")
     finally:
         del gym.registry["Heat-v0"]
-    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    show(tmp_path)
     for query in ({}, {"plane": "two"}, {"plane": "two", "across": "observation 1"}):
         [plane] = map_of(in_buffer(run="heat", **query))["planes"]
         assert plane["key"].startswith("two@" if query else "contrast@")

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 import torch
 from streamlit.testing.v1 import AppTest
-from studio_pages import TIMEOUT_S, array, draw, figures, metrics, recorded, set_links, trace
+from studio_pages import TIMEOUT_S, Show, array, draw, figures, metrics, recorded, trace
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
 
 from app.data import replays
 from app.data.replays import ROAD_DT, Replay
 from app.figures.replay import error_curve
-from app.links import Links
 from app.scenes import solids
 from app.scenes.replay import track
 from app.servers import viewers
@@ -148,8 +147,8 @@ def test_the_page_shows_the_chosen_episode(store: Path, run: RunReader) -> None:
 
 
 @pytest.fixture
-def with_viewers(studio: Links, store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    set_links(Links(store=str(store), port=8600, folder=str(store), key="key"), monkeypatch)
+def with_viewers(studio: None, store: Path, show: Show) -> None:
+    show(store, port=8600, folder=str(store))
 
 
 @pytest.mark.usefixtures("with_viewers")

@@ -1,6 +1,5 @@
 """Attention on road-and-rocks: the weights over the map, and several runs side by side."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ from studio_runs import ROAD_MLE, ROAD_TOM, altered, info
 from app.data import road
 from app.data.called import names, short_names, task, told_apart
 from app.theme import COLUMNS, DIVERGING, rgb
-from app.views.attention.road import BESIDE
 from tom.readable import percent
 from tom.record.labels import Labels
 from tom.record.reader import RunReader
@@ -48,15 +46,6 @@ def test_two_runs_are_drawn_side_by_side_on_one_scale(store: Path) -> None:
         assert shown == pytest.approx(picture.grid, nan_ok=True)
     assert np.nanmax(tom) > 2
     assert np.nanmax(mle) == pytest.approx(1)
-
-
-def test_more_runs_than_stand_beside_are_cut_to_those_that_do(own: Path) -> None:
-    ids = [f"road-{i}" for i in range(BESIDE + 2)]
-    for run_id in ids:
-        shutil.copytree(own / ROAD_MLE, own / run_id)
-    app = draw("attention", run=ids[0], beside=ids[1:])
-    assert app.multiselect(key="beside").value == ids[1:-1]
-    assert app.query_params["beside"] == ids[1:-1]
 
 
 def test_runs_that_would_be_called_the_same_are_told_apart(store: Path) -> None:

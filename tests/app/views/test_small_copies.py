@@ -1,17 +1,14 @@
 """Pages on a small copy without buffer, model and policy: they say that those were left out."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import streamlit as st
 from streamlit.testing.v1 import AppTest
-from studio_pages import draw, figures, set_links
+from studio_pages import Show, draw, figures
 from studio_runs import info
 
 from app.data import readers
-from app.links import Links
 from app.parts.cards import progress_line
 from app.parts.widgets import differs, telling
 from app.views.curves.runs import overview
@@ -27,15 +24,13 @@ ROAD, PENDULUM = (
 
 
 @pytest.fixture
-def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, show: Show) -> Path:
     """Copies of two runs of the gallery; nothing of them is small enough to be kept."""
     monkeypatch.setattr("tom.record.thin.SMALL", 100)
     for run in (ROAD, PENDULUM):
         export_small(run, tmp_path)
-    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    yield tmp_path
-    st.cache_data.clear()
-    st.cache_resource.clear()
+    show(tmp_path)
+    return tmp_path
 
 
 def said(app: AppTest) -> str:
@@ -59,12 +54,10 @@ def test_what_was_left_out_is_named(view: str, part: str, run: RunReader, lackin
     assert any(lacking in line for line in lines)
 
 
-def test_evaluations_that_were_left_out_are_not_called_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_evaluations_that_were_left_out_are_not_called_missing(tmp_path: Path, show: Show) -> None:
     other = next(run for run in TOM if run.env == PENDULUM.env and run.run_id != PENDULUM.run_id)
     export_small(PENDULUM, tmp_path, without=("evaluations",))
-    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    show(tmp_path)
     words = said(draw("replays"))
     assert "left out" in words.lower()
     assert "yet" not in words
@@ -75,10 +68,10 @@ def test_evaluations_that_were_left_out_are_not_called_missing(
     assert "yet" not in words
 
 
-def test_a_recording_of_sac_has_no_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_of_sac_has_no_weights(tmp_path: Path, show: Show) -> None:
     (recording,) = (r for r in small_copies(Store(GALLERY)) if r.run_id == "hopper-sac-s0")
     export_small(recording, tmp_path)
-    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    show(tmp_path)
     app = draw("attention", run=recording.run_id)
     assert not figures(app)
     assert app.info

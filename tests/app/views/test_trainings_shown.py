@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from streamlit.testing.v1 import AppTest
-from studio_pages import TIMEOUT_S, draw, recorded, set_links
+from studio_pages import TIMEOUT_S, Show, draw, recorded
 from studio_runs import (
     PENDULUM_TOM,
     ROAD_MLE,
@@ -26,7 +26,6 @@ from studio_runs import (
 
 from app.data import trainings
 from app.data.trainings import Started
-from app.links import Links
 from app.parts import start, trainings_strip
 from app.parts.cards import NAMED, figures, head, settings_line
 from tom.envs import ENVS, OTHERS, Task
@@ -214,9 +213,9 @@ def test_trainings_that_have_ended_are_forgotten_and_those_that_run_are_not(
 
 @pytest.mark.parametrize(("host", "key"), [("0.0.0.0", "key"), ("::1", ""), ("::1", "another")])
 def test_nothing_is_started_for_others_or_without_the_key(
-    host: str, key: str, store: Path, monkeypatch: pytest.MonkeyPatch
+    host: str, key: str, store: Path, show: Show
 ) -> None:
-    set_links(Links(store=str(store), host=host, key=key), monkeypatch)
+    show(store, host=host, key=key)
     app = draw("answer")
     app.session_state[start.FOLD] = True
     app.run()

@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from studio_pages import array, draw, figures, metrics, set_links, trace
+from studio_pages import Show, array, draw, figures, metrics, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import buffer, buffer_map, why
 from app.data.buffer import Rows
-from app.links import Links
 from app.views.attention.row_list import listed
 from tom.analysis import why as reasons
 from tom.cli import main
@@ -29,7 +28,7 @@ in_buffer = partial(draw, "attention", rows="true")
 
 
 @pytest.fixture
-def weighed(studio: Links, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def weighed(store: Path, tmp_path: Path, show: Show) -> Path:
     """A store with a weighing of the pendulum at a fit whose policy was kept."""
     there = tmp_path / "store"
     shutil.copytree(store, there, copy_function=os.link)
@@ -39,7 +38,7 @@ def weighed(studio: Links, store: Path, tmp_path: Path, monkeypatch: pytest.Monk
         "--seeds", "0", "--footprint", "100", "--store", str(there), "--matmul", "default",
     ]  # fmt: skip
     assert main(words) == 0
-    set_links(Links(store=str(there), key="key"), monkeypatch)
+    show(there)
     return there
 
 

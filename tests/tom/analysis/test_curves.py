@@ -62,17 +62,6 @@ def test_groups_differ_in_everything_but_the_seed() -> None:
     ]
 
 
-def test_band_is_the_percentile_bootstrap_and_the_same_at_every_call() -> None:
-    values = np.random.default_rng(1).normal(size=12)
-    curves = [curve([value], seed=i) for i, value in enumerate(values)]
-    group = aggregate(curves)
-    draws = np.random.default_rng(2).choice(values, (20_000, 12)).mean(1)
-    assert group.low[0] == pytest.approx(np.quantile(draws, 0.025), abs=0.08)
-    assert group.high[0] == pytest.approx(np.quantile(draws, 0.975), abs=0.08)
-    again = aggregate(curves)
-    assert (again.low[0], again.high[0]) == (group.low[0], group.high[0])
-
-
 def test_median_and_iqm_and_the_band_of_one_deviation() -> None:
     curves = [curve([value], seed=i) for i, value in enumerate([0.0, 1, 2, 3, 100])]
     assert aggregate(curves, "median").mean.tolist() == [2]

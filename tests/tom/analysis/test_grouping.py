@@ -6,7 +6,20 @@ import numpy as np
 import pytest
 
 from tom.analysis.curves import Curve, groups
-from tom.analysis.settings import USUAL, Kind, choices, kinds_of, natural, number
+from tom.analysis.settings import (
+    NONE,
+    USUAL,
+    Kind,
+    choices,
+    differences,
+    kinds_of,
+    natural,
+    number,
+    telling_presets,
+    variants,
+)
+from tom.learners import LEARNERS, LearnerEntry
+from tom.learners.mle import MleLearner
 
 
 @dataclass(frozen=True)
@@ -78,3 +91,54 @@ def test_values_that_are_numbers_are_ordered_as_such() -> None:
     assert number(Kind("mle", "paper"), "tom.flow") is None
     words = ["lr 0.001", "lr 3e-5", "hidden 128", "hidden 64"]
     assert sorted(words, key=natural) == ["hidden 64", "hidden 128", "lr 3e-5", "lr 0.001"]
+
+
+def test_only_differences_are_shown() -> None:
+    runs = [Run("a", {"x": "1", "y": "2"}), Run("b", {"x": "1", "y": "3", "z": "4"})]
+    assert differences(runs) == {"y": ["2", "3"], "z": [NONE, "4"]}
+
+
+def test_runs_are_apart_by_settings_that_matter() -> None:
+    runs = [
+        Run("a", {"seed": "0", "steps": "10", "sac.lr": "1", "pmac.decay": "1"}),
+        Run("b", {"seed": "1", "steps": "20", "sac.lr": "1", "pmac.decay": "2", "new": "0"}),
+        Run("c", {"seed": "2", "steps": "10", "sac.lr": "2", "pmac.decay": "1"}),
+    ]
+    assert variants(runs[:2]) == {"a": "", "b": ""}
+    assert variants(runs) == {"a": "sac.lr 1", "b": "sac.lr 1", "c": "sac.lr 2"}
+
+
+def test_the_presets_own_value_is_not_named() -> None:
+    def run(name: str, share: str, env: str = "hopper") -> Run:
+        return Run(name, {"model.uniform_share": share, "tom.q_lr": "1"}, env=env, preset="mended")
+
+    assert variants([run("a", "0.0"), run("b", "1.0"), run("c", "0.5")]) == {
+        "a": "",
+        "b": "model.uniform_share 1.0",
+        "c": "model.uniform_share 0.5",
+    }
+    # No code of this task is here to say what its preset is.
+    assert variants([run("a", "0.0", "nowhere:Task-v0"), run("b", "1.0", "nowhere:Task-v0")]) == {
+        "a": "model.uniform_share 0.0",
+        "b": "model.uniform_share 1.0",
+    }
+
+
+def test_a_preset_is_told_where_its_learner_has_several() -> None:
+    runs = [
+        Run("a", {}),
+        Run("b", {}, preset="mended"),
+        Run("c", {}, learner="mle"),
+        Run("d", {}, env="hopper"),
+    ]
+    assert telling_presets(runs) == ["paper", "mended", "", ""]
+
+
+def test_a_new_learners_settings_set_its_own_runs_apart(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    entry = LearnerEntry("New", lambda c, o, a, g: MleLearner(), group="rollout")
+    monkeypatch.setitem(LEARNERS, "new", entry)
+    for learner, apart in (("new", ["rollout.x 1", "rollout.x 2"]), ("mle", ["", ""])):
+        runs = [Run(name, {"rollout.x": name}, learner=learner) for name in ("1", "2")]
+        assert list(variants(runs).values()) == apart

@@ -59,12 +59,6 @@ def test_a_run_that_gets_there_later_does_not_get_there() -> None:
     assert steps_to(curves, 2.0, until=3).tolist() == [3, 1]
 
 
-def test_interval_of_one_number_has_no_bounds() -> None:
-    one = interval(np.array([3.0]))
-    assert one.value == 3
-    assert np.isnan([one.low, one.high]).all()
-
-
 @pytest.mark.parametrize("values", [[], [1.0, np.nan]])
 def test_without_every_run_there_is_no_statistic_of_them(values: list[float]) -> None:
     assert np.isnan(interval(np.array(values), "iqm").value)

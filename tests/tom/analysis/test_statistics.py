@@ -34,12 +34,6 @@ def test_three_tasks_have_the_median_of_their_means():
     assert value(SCORES[:, :1], st.median) == 2.5  # of one task that of its runs
 
 
-def test_iqm_is_scipy_s_trimmed_mean_over_all_scores():
-    scores = rng(3).lognormal(size=(7, 5))
-    expected = stats.trim_mean(scores.ravel(), 0.25)
-    assert value(scores, st.iqm) == pytest.approx(expected)
-
-
 def test_missing_runs_leave_the_others_in_place():
     scores = np.array([[1.0, 4.0], [3.0, np.nan], [5.0, 6.0]])
     assert value(scores, st.mean) == pytest.approx((3 + 5) / 2)
@@ -75,12 +69,6 @@ def test_a_band_is_the_interval_at_every_point():
     for t in range(9):
         point = st.interval([curves[:, t]], st.iqm)
         assert (low[t], high[t]) == pytest.approx((point.low, point.high))
-
-
-def test_the_band_of_one_curve_is_empty():
-    low, high = st.band(np.ones((1, 4)), st.mean)
-    assert np.isnan(low).all()
-    assert np.isnan(high).all()
 
 
 @pytest.mark.parametrize("n", [3, 5, 8])

@@ -3,13 +3,13 @@
 from dataclasses import replace
 
 import pytest
+from common import online
 
 from tom.bench.parts import model_flops, network_flops, parts, rollout_flops, sac_flops
 from tom.bench.projection import beside_ms, between_fits_ms, hours, per_step_ms
 from tom.bench.timing import DISTANCES, EXAM, Timing, target
-from tom.config import ModelConfig, OnlineConfig, SacConfig
+from tom.config import ModelConfig, SacConfig
 from tom.envs import ENV_NAMES, task
-from tom.training.presets import resolve
 
 MS = {part.name: 1.0 for part in parts()}
 BESIDE = {EXAM: 9950.0, DISTANCES: 990.0}  # ms
@@ -56,8 +56,7 @@ def test_a_target_that_no_code_could_meet_on_this_machine_says_so():
 
 
 def test_the_time_between_two_fits_counts_the_shortest_fit():
-    config = resolve("hopper", "tom")  # as `tom train` has it
-    assert isinstance(config, OnlineConfig)
+    config = online("hopper", "tom", preset=None)  # as `tom train` has it
     rounds = 1 + config.model.patience + 1
     tom = config.tom.q_steps + config.tom.discriminator_steps
     fit = rounds * 100 + tom + 125_000 / 2 / 1000 + 100
@@ -74,8 +73,7 @@ def test_every_environment_and_preset_is_projected():
 
 
 def test_a_step_of_hopper_is_the_sum_of_its_parts():
-    config = resolve("hopper", "tom", "paper")
-    assert isinstance(config, OnlineConfig)
+    config = online("hopper", "tom", preset="paper")
     fit = 30 * 100 + 1000 + 100 + 125_000 / 2 / 1000 + 100
     expected = 5 + fit / 250 + 1
     assert per_step_ms(config, task("hopper"), MS) == pytest.approx(expected)

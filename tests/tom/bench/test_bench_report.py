@@ -47,20 +47,3 @@ def test_a_file_without_the_marks_is_refused_before_anything_is_measured(tmp_pat
     assert main(["bench", "--into", str(tmp_path / "none")]) == 2
     assert file.read_text() == "no marks\n"
     assert main(["bench", "learn", "--into", str(file)]) == 2
-
-
-def test_a_page_that_cannot_be_written_stays_as_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    file = tmp_path / "page.md"
-    file.write_text(f"mine\n{BEGIN}\nold\n{END}\n")
-    before = file.read_text()
-
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "replace", full)
-    with pytest.raises(UserError, match="No space left"):
-        put(file, "new")
-    assert file.read_text() == before
-    assert [path.name for path in tmp_path.iterdir()] == ["page.md"]

@@ -4,7 +4,6 @@ The task is a point on a line: obs (x, v), an action in [-1, 1], ends at |x| > 1
 Every case is made of the same good rows by one change that public reports tell of.
 """
 
-from collections.abc import Callable
 from functools import cache
 
 import gymnasium as gym
@@ -112,48 +111,14 @@ def without(*names: str) -> Columns:
     return {name: values for name, values in good().items() if name not in names}
 
 
-def minus(columns: Columns) -> Columns:
-    return columns | {"terminated": np.where(columns["terminated"], 1, -1)}
-
-
-def halves(columns: Columns) -> Columns:
-    return columns | {"truncated": columns["truncated"] * 0.5}
-
-
-def mask(columns: Columns) -> Columns:
-    return columns | {"terminated": 1.0 - columns["terminated"]}
-
-
-def both(columns: Columns) -> Columns:
-    return columns | {"terminated": ends(columns)}
-
-
-def timed_out_as_done(columns: Columns) -> Columns:
-    return columns | {"terminated": ends(columns), "truncated": np.zeros(N, bool)}
-
-
-def unmarked(columns: Columns) -> Columns:
-    return columns | {"truncated": np.zeros(N, bool)}
-
-
 def noise(columns: Columns) -> Columns:
     drawn = np.random.default_rng(1).normal(scale=1e-7, size=(N, 2))
     noisy = (columns["next_obs"] + drawn).astype(np.float32)
     return without("truncated") | {"next_obs": noisy}
 
 
-def shuffled(columns: Columns) -> Columns:
-    order = np.random.default_rng(1).permutation(N)
+def ordered(columns: Columns, order: NDArray) -> Columns:
     return {name: values[order] for name, values in columns.items()}
-
-
-def interleaved(columns: Columns) -> Columns:
-    order = np.arange(N).reshape(4, -1).T.ravel()
-    return {name: values[order] for name, values in columns.items()}
-
-
-def ring(columns: Columns) -> Columns:
-    return {name: np.roll(values, 777, axis=0) for name, values in columns.items()}
 
 
 def next_step_reset(columns: Columns) -> Columns:
@@ -165,10 +130,6 @@ def next_step_reset(columns: Columns) -> Columns:
         "terminated": np.zeros(len(after), bool), "truncated": np.zeros(len(after), bool),
     }  # fmt: skip
     return {n: np.insert(values, after + 1, extra[n], axis=0) for n, values in columns.items()}
-
-
-def next_episode(columns: Columns) -> Columns:
-    return columns | {"next_obs": np.append(columns["obs"][1:], columns["next_obs"][-1:], axis=0)}
 
 
 def first(rows: int) -> Columns:
@@ -259,6 +220,3 @@ def array_like(obs: NDArray) -> Array:
 
 def outside(obs: NDArray) -> NDArray:
     return np.full((len(obs), 1), 50.0)
-
-
-Change = Callable[[Columns], Columns]

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 from commands import code_of
-from line_cases import FAR, FLAT, LINE, TWICE, WIDE, Columns, N, good, without
+from line_cases import FAR, FLAT, LINE, TWICE, WIDE, Columns, N, good, ordered, without
 from onnx import TensorProto, helper
 
 import tom
@@ -62,21 +62,23 @@ def test_good_rows_have_no_notice_and_are_counted():
 
 
 BREAKS = int(good()["truncated"][:-1].sum())
+ENDS, NONE = cases.ends(good()), np.zeros(N, bool)
+SHUFFLED = np.random.default_rng(1).permutation(N)
 
 
 @pytest.mark.parametrize(
     ("columns", "expected", "breaks"),
     [
-        (cases.mask(good()), ["flags"], None),
-        (cases.both(good()), ["both-flags", "ends-at-limit"], 0),
-        (cases.timed_out_as_done(good()), ["ends-at-limit"], 0),
-        (cases.unmarked(good()), ["order"], BREAKS),
-        (cases.shuffled(good()), ["order"], None),
-        (cases.shuffled(without("truncated")), ["order"], None),
-        (cases.interleaved(good()), ["order"], None),
-        (cases.ring(good()), ["order"], 1),
+        (good() | {"terminated": 1.0 - good()["terminated"]}, ["flags"], None),
+        (good() | {"terminated": ENDS}, ["both-flags", "ends-at-limit"], 0),
+        (good() | {"terminated": ENDS, "truncated": NONE}, ["ends-at-limit"], 0),
+        (good() | {"truncated": NONE}, ["order"], BREAKS),
+        (ordered(good(), SHUFFLED), ["order"], None),
+        (ordered(without("truncated"), SHUFFLED), ["order"], None),
+        (ordered(good(), np.arange(N).reshape(4, -1).T.ravel()), ["order"], None),
+        (ordered(good(), np.roll(np.arange(N), 777)), ["order"], 1),
         (cases.next_step_reset(good()), ["order"], 0),
-        (cases.next_episode(good()), ["order"], 0),
+        (good() | {"next_obs": np.roll(good()["obs"], -1, 0)}, ["order"], 0),
         (without("next_obs"), ["no-next-obs"], 0),
         (cases.first(1), ["few-rows"], 0),
         (cases.noise(good()), [], 0),
@@ -100,10 +102,16 @@ def test_a_tolerance_finds_the_same_episodes():
     np.testing.assert_array_equal(~follows, cases.ends(columns)[:-1])
 
 
-@pytest.mark.parametrize("change", [cases.minus, cases.halves])
-def test_flags_that_are_none_are_refused(change: cases.Change):
+@pytest.mark.parametrize(
+    "flags",
+    [
+        {"terminated": np.where(good()["terminated"], 1, -1)},
+        {"truncated": good()["truncated"] * 0.5},
+    ],
+)
+def test_flags_that_are_none_are_refused(flags: Columns):
     with pytest.raises(UserError, match="other than 0 and 1"):
-        loaded(change(good()))
+        loaded(good() | flags)
 
 
 def test_lost_terminations_are_counted():

@@ -1,6 +1,5 @@
 """ReplayBuffer against a plain list of rows."""
 
-import io
 from collections.abc import Iterable
 from math import nan
 
@@ -110,19 +109,3 @@ def test_whole_buffer_is_a_view_until_it_wraps():
     before = buffer.transitions()
     assert before.obs.data_ptr() == buffer.transitions().obs.data_ptr()
     assert before.obs.untyped_storage().data_ptr() == before.reward.untyped_storage().data_ptr()
-
-
-def test_state_survives_a_safe_load_and_wraps_on_as_before():
-    buffer = ReplayBuffer(5, OBS_DIM, ACTION_DIM)
-    buffer.extend(rows(0, 8), torch.arange(8))
-    file = io.BytesIO()
-    torch.save(buffer.state_dict(), file)
-    file.seek(0)
-    other = ReplayBuffer(5, OBS_DIM, ACTION_DIM)
-    other.load_state_dict(torch.load(file, weights_only=True))
-    for b in (buffer, other):
-        b.extend(rows(8, 3), 9)
-    assert equal(buffer.transitions(), other.transitions())
-    assert other.policy_version().tolist() == [6, 7, 9, 9, 9]
-    assert other.behaviour().shape == (5, 0)  # which it was not told to keep
-    assert other.total_added == 11

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 import torch
+from common import online
 
 from tom.config import ModelConfig
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.ending import NEVER, EndingHead, best_threshold, measured
 from tom.events import Metrics
 from tom.mbpo import Mbpo
-from tom.training.presets import resolve
 
 CONFIG = ModelConfig(batches_per_round=100)
 
@@ -141,14 +141,6 @@ def test_what_it_is_measured_on_was_never_trained_on():
     assert min(losses) > 0.4
 
 
-@pytest.mark.parametrize("share", [0.0, 0.2, 0.5])
-def test_its_share_is_held_out(share: float):
-    head = EndingHead(3, CONFIG.but(holdout=share), torch.Generator())
-    held, kept = head._split(rows(1000), 2**20)
-    assert torch.equal(torch.cat((held, kept)).sort().values, torch.arange(1000))
-    assert len(held) == pytest.approx(1000 * share, abs=2)
-
-
 def test_what_held_out_no_end_is_not_measured():
     head, metrics, _ = fitted(config=CONFIG.but(holdout=0))
     assert metrics == {"model/ends_threshold": head.threshold}
@@ -194,8 +186,7 @@ def test_what_is_no_number_is_measured_as_none():
 def test_the_exam_judges_it_like_a_rule():
     """Hopper's ends, learnt by the head: most of the falls are foretold, few are invented."""
     changes = {"model": {"termination": "learnt", "rounds": 20}, "steps": 1000}
-    config = resolve("hopper", "mle", "smoke", changes)
-    run = Mbpo(config)  # pyright: ignore[reportArgumentType]
+    run = Mbpo(online("hopper", "mle", changes))
     told = [event.values for event in run.events() if isinstance(event, Metrics)]
     exams = [values for values in told if "exam/falls_caught" in values]
     assert len(exams) > 5

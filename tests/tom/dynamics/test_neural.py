@@ -2,6 +2,7 @@ from math import log
 
 import pytest
 import torch
+from common import generator
 from torch.distributions import Categorical, MixtureSameFamily, Normal
 
 from tom.config import ModelConfig
@@ -12,10 +13,6 @@ from tom.dynamics.networks import GaussianEnsemble, Mdn, MeanEnsemble, pick_comp
 from tom.dynamics.neural import NeuralDynamics, _Best, holdout_loss, split
 
 SMALL = ModelConfig(hidden=48, layers=2, components=3, members=3, elites=2, rounds=10, lr=3e-3)
-
-
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def rows(n: int = 1500, seed: int = 0) -> TensorTransitions:

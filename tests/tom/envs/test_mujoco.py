@@ -89,16 +89,6 @@ def test_rescaling_leaves_tasks_of_range_one_bit_identical():
     np.testing.assert_array_equal(simulator(env).data.ctrl, action.astype(np.float64))
 
 
-def test_seed_sets_starts_and_exploration():
-    one, two, three = (ENVS["walker2d"].make(seed=s) for s in (4, 4, 5))
-    starts = [e.reset()[0] for e in (one, two, three)]
-    np.testing.assert_array_equal(starts[0], starts[1])
-    assert not np.array_equal(starts[0], starts[2])
-    actions = [e.action_space.sample() for e in (one, two, three)]
-    np.testing.assert_array_equal(actions[0], actions[1])
-    assert not np.array_equal(actions[0], actions[2])
-
-
 def test_the_time_limit_truncates_and_does_not_terminate():
     """In the task where termination is possible, too: a linear controller keeps the pole up."""
     t = ENVS["inverted-pendulum"]

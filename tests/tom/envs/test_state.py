@@ -1,11 +1,9 @@
 """A captured environment, restored elsewhere, takes the very same steps."""
 
-import io
-
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch
+from common import reloaded
 from gymnasium.wrappers import RecordEpisodeStatistics
 
 from tom.envs import ENVS
@@ -23,18 +21,11 @@ def play(env: gym.Env, steps: int) -> list[np.ndarray]:
     return rows
 
 
-def saved_and_loaded(state):
-    file = io.BytesIO()
-    torch.save(state, file)
-    file.seek(0)
-    return torch.load(file, weights_only=True)
-
-
 @pytest.mark.parametrize("name", ENVS)
 def test_resumed_steps_are_bit_identical(name):
     env = ENVS[name].make(seed=3)
     play(env, 53)
-    state = saved_and_loaded(capture(env))
+    state = reloaded(capture(env))
     expected = play(env, 120)
     other = ENVS[name].make(seed=99)
     play(other, 7)

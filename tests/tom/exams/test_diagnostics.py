@@ -5,12 +5,8 @@ import torch
 
 from tom.data.transitions import TensorTransitions
 from tom.exams.diagnostics import (
-    HORIZON,
     ending_metrics,
-    one_step_error,
-    rollout_error,
     step_scale,
-    unbroken,
     weight_metrics,
 )
 from tom.exams.energy import step_scaling
@@ -27,24 +23,6 @@ def line(n: int, ended: list[int] | None = None) -> TensorTransitions:
     )
 
 
-class Drift:
-    """A model that is off by `bias` in each step."""
-
-    def __init__(self, bias: float) -> None:
-        self.bias = bias
-
-    def predict(self, obs: torch.Tensor, action: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        return torch.zeros(len(obs)), obs + action + self.bias
-
-
-def test_errors_are_in_units_of_the_scale_and_add_up_over_a_rollout():
-    rows, scale = line(20), torch.tensor([0.5])
-    model = Drift(0.25)
-    assert one_step_error(model, rows, scale) == pytest.approx(0.5)  # type: ignore[arg-type]
-    error = rollout_error(model, rows, unbroken(rows), scale)  # type: ignore[arg-type]
-    assert error == pytest.approx(0.5 * HORIZON)
-
-
 def test_a_dimension_that_never_changes_is_in_its_own_units_as_in_the_model():
     """A goal that stays where it is for an episode (Reacher) has no change to compare with."""
     rows = line(20)
@@ -54,12 +32,6 @@ def test_a_dimension_that_never_changes_is_in_its_own_units_as_in_the_model():
     scale = step_scale(both)
     assert scale.tolist() == pytest.approx([float(rows.action.std(correction=0)), 1.0])
     assert torch.equal(scale, step_scaling(both).std[-2:]), "as in an exam"
-
-
-def test_a_rollout_may_end_with_an_episode_but_not_cross_its_end():
-    assert unbroken(line(HORIZON - 1)).tolist() == []
-    assert unbroken(line(HORIZON, [HORIZON - 1])).tolist() == [0]
-    assert unbroken(line(2 * HORIZON, [HORIZON - 1])).tolist() == [0, HORIZON]
 
 
 def test_weight_metrics_by_hand():

@@ -1,13 +1,12 @@
 """The energy distance against its formula and against distributions where it is known."""
 
-from collections.abc import Sequence
-from math import erf, exp, isnan, pi, sqrt
+from math import erf, exp, pi, sqrt
 
 import pytest
 import torch
+from common import generator
 from torch import Tensor
 
-from tom.data.sampling import WeightedSampler
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.exams import energy
@@ -18,10 +17,6 @@ from tom.exams.energy import (
     footprint_match,
     step_scaling,
 )
-
-
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def by_definition(x: Tensor, y: Tensor, p: Tensor | None = None) -> float:
@@ -65,26 +60,6 @@ def test_draws_of_one_part_count_twice_and_a_row_is_no_pair_with_itself():
     apart = drawn_distance(x, torch.tensor([6, 7, 8, 9]))
     assert float(apart) == pytest.approx((1 + 5 + 1 + 5 + 2 * 4 + 2 * 0) / 8)
     assert not drawn_distance(x[:1].expand(4, 1), torch.zeros(4)).isfinite()
-
-
-def test_few_heavy_rows_are_no_closer_to_each_other_than_many():
-    """Weights that have nothing to do with the rows: the distribution stays, the sample shrinks."""
-    g, found = generator(), []
-    for _ in range(1000):
-        x, weights = torch.randn(40, 1, generator=g), torch.rand(40, generator=g) ** 8
-        u = (torch.arange(300) // 2 + torch.rand(300, generator=g)) / 150
-        rows = WeightedSampler(weights, g).at(u.double())
-        found.append(drawn_distance(x[rows].double(), rows))
-    distance = torch.stack(found)
-    error = float(distance.std() / len(distance) ** 0.5)
-    assert float(distance.mean()) == pytest.approx(2 / sqrt(pi), abs=3 * error)
-    assert error < 0.02  # pairs of a row with itself would take 0.14
-
-
-def test_a_sample_without_two_rows_has_none():
-    x = torch.randn(5, 2, generator=generator())
-    assert isnan(energy_distance(x[:1], x))
-    assert isnan(energy_distance(x, x[:0]))
 
 
 def match(
@@ -148,36 +123,13 @@ def test_the_standard_error_is_the_spread_over_footprints(
     assert float(error.square().mean().sqrt()) == pytest.approx(float(ratio.std()), rel=0.25)
 
 
-def of_episodes(lengths: list[int], left_out: Sequence[int] = ()) -> dict[str, float]:
-    """The match of a footprint of episodes of such lengths, without those `left_out`."""
-    g = generator()
-    buffer, met = torch.randn(300, generator=g), torch.randn(sum(lengths), generator=g) + 2
-    weights = torch.rand(300, generator=g) ** 2
-    parts = [part for i, part in enumerate(met.split(lengths)) if i not in left_out]
-    ends = torch.tensor([len(part) for part in parts]).cumsum(0) - 1
-    return match(buffer, weights, line(torch.cat(parts), ends.tolist()))
-
-
-@pytest.mark.parametrize(
-    ("lengths", "groups"),
-    [
-        ([9, 4, 8, 5, 21], [[0], [1], [2], [3], [4]]),
-        ([10, 1, 1, 1, 10, 9, 8, 10], [[0], [1, 2, 3], [4], [5], [6], [7]]),
-        ([3] * 30, [[3 * i, 3 * i + 1, 3 * i + 2] for i in range(10)]),
-    ],
-)
-def test_the_standard_error_is_a_jackknife_over_groups_of_whole_episodes(
-    lengths: list[int], groups: list[list[int]]
-):
-    without = torch.tensor([of_episodes(lengths, group)["footprint"] for group in groups])
-    expected = sqrt(len(groups) - 1) * float(without.std(correction=0))
-    assert of_episodes(lengths)["footprint_se"] == pytest.approx(expected, rel=1e-4)
-
-
 @pytest.mark.parametrize("lengths", [[200], [100, 100], [50, 50, 50, 50], [3, 3, 3, 3, 3, 185]])
 def test_a_few_episodes_have_no_standard_error(lengths: list[int]):
     """Nor has one long episode beside a few short ones."""
-    found = of_episodes(lengths)
+    g = generator()
+    buffer, met = torch.randn(300, generator=g), torch.randn(200, generator=g) + 2
+    ends = torch.tensor(lengths).cumsum(0) - 1
+    found = match(buffer, torch.rand(300, generator=g) ** 2, line(met, ends.tolist()))
     assert "footprint" in found
     assert "footprint_se" not in found
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from common import generator, online
 from torch import Tensor
 
 from tom.config import OnlineConfig
@@ -21,11 +22,6 @@ from tom.exams.exam import (
 )
 from tom.learners import LEARNER_NAMES
 from tom.mbpo import Mbpo
-from tom.training.presets import resolve
-
-
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def line(n: int, ends: tuple[int, ...] = (), truncated: tuple[int, ...] = ()) -> TensorTransitions:
@@ -186,9 +182,7 @@ def test_weights_like_the_exams_rows_are_near_it():
 
 
 def smoke(learner: str, **changes: object) -> OnlineConfig:
-    config = resolve("inverted-pendulum", learner, "smoke", {"tom": {"warmup": 50}, **changes})
-    assert isinstance(config, OnlineConfig)
-    return config
+    return online("inverted-pendulum", learner, {"tom": {"warmup": 50}, **changes})
 
 
 def exams(events: list[Event]) -> dict[int, dict[str, float]]:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import torch
+from common import generator
 from torch import Tensor
 
 from tom.config import TomConfig
@@ -15,10 +16,6 @@ OBS, ACTION = 3, 2
 QUICK = TomConfig(
     discriminator_steps=60, q_steps=60, q_hidden=32, discriminator_hidden=32, action_samples=2
 )
-
-
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def rows(n: int, seed: int = 0, shift: float = 0.0) -> TensorTransitions:

@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from made import QUICK, generator, rows
+from common import generator
+from made import QUICK, rows
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from tom.config import TomConfig

@@ -3,13 +3,13 @@ from math import isfinite
 
 import pytest
 import torch
-from made import ACTION, OBS, QUICK, ended, generator, rows, uniform_policy
+from common import generator
+from made import ACTION, OBS, QUICK, ended, rows, uniform_policy
 from torch import Tensor
 
 from tom.config import TomConfig
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
-from tom.learners.base import policy_actions
 from tom.learners.dual import (
     Batch,
     DualProblem,
@@ -180,12 +180,6 @@ def test_the_exact_expectation_weighs_every_action_by_its_probability():
     torch.testing.assert_close(now, value(replay.obs, replay.action), atol=1e-5, rtol=1e-4)
 
 
-def test_sampled_actions_share_the_probability():
-    actions, probs = policy_actions(uniform_policy, torch.zeros(5, OBS), 4, generator())
-    assert actions.shape == (4, 5, ACTION)
-    torch.testing.assert_close(probs, torch.full((4, 5), 0.25))
-
-
 def test_the_gradient_runs_through_the_next_value_unless_it_is_stopped():
     replay = rows(64)
     slopes = []
@@ -213,20 +207,6 @@ def test_q_is_never_negative_where_the_paper_prints_it_so():
     config = QUICK.but(q_non_negative=True)
     terms = problem(rows(64), config).terms(net(config), generator())
     assert (terms.now >= 0).all()
-
-
-def test_start_gap_tells_uncovered_starts_from_covered_ones():
-    replay = rows(1000)
-    config = QUICK.but(q_steps=400, q_lr=3e-3, discount=0.9)
-    gaps = []
-    for starts in (replay.obs[:50], torch.full((50, OBS), 8.0)):
-        q = net(config)
-        found = replace(problem(replay, config), initial_obs=starts)
-        fitted = found.minimise(QFunction(q, config), generator()).net
-        q_now = found.terms(fitted, generator()).now
-        gaps.append(found.start_gap(fitted, q_now, generator()))
-    assert gaps[0] < 0.1
-    assert gaps[1] > 1
 
 
 def test_start_gap_of_more_rows_than_torch_quantile_takes():

@@ -1,17 +1,21 @@
+from dataclasses import replace
+
 import pytest
 import torch
-from made import ACTION, OBS, QUICK, LinearGaussian, context, generator, rows
+from common import generator, online
+from made import ACTION, OBS, QUICK, LinearGaussian, context, rows
 
 from tom.config import ModelConfig, OnlineConfig, RolloutConfig
 from tom.learners import LEARNER_NAMES, LEARNERS, make_learner
 from tom.learners.base import Weighting, heavy_row
 from tom.training.presets import resolve
 
+AT_ONCE = ("mle", "pmac", "pmer")
+"""learners that weigh from the first fit on"""
+
 
 def config(name: str) -> OnlineConfig:
-    config = resolve("hopper", name, "paper", {"tom": QUICK.model_dump()})
-    assert isinstance(config, OnlineConfig)
-    return config
+    return online("hopper", name, {"tom": QUICK.model_dump()}, "paper")
 
 
 @pytest.mark.parametrize("name", LEARNER_NAMES)
@@ -37,14 +41,20 @@ def test_every_learner_weighs_a_buffer(name):
     assert (name == "mle") == bool((found.weights == 1).all() and found.per_dim is None)
 
 
+@pytest.mark.parametrize("lacks", ["value", "steps"])
 @pytest.mark.parametrize("name", LEARNER_NAMES)
-def test_those_that_follow_a_value_function_wait_for_one(name: str):
+def test_weights_are_uniform_until_there_is_what_a_learner_follows(name: str, lacks: str):
     learner = make_learner(name, config(name), OBS, ACTION, generator())
     behaviour = torch.randn(100, 2 * ACTION, generator=generator())
     version, policy = torch.arange(100) // 25, LinearGaussian()
     given = context(rows(100), policy_version=version, behaviour=behaviour, policy=policy)
+    if lacks == "steps":
+        value, error = (lambda s: torch.ones(2, *s.shape)), (lambda: torch.rand(100))
+        given = replace(given, on_policy_steps=0, value_gradient=value, model_errors=error)
     found = learner.weigh(given)
-    assert found.ready is not (LEARNERS[name].follows_value or name == "pmer")
+    needs = LEARNERS[name].follows_value or name == "pmer"
+    assert found.ready is (name in AT_ONCE if lacks == "steps" else not needs)
+    assert found.ready or bool((found.weights == 1).all() and found.per_dim is None)
 
 
 def test_vagrams_ensemble_is_another_model_unless_the_user_wants_one():

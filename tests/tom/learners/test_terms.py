@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from made import OBS, QUICK, ended, generator, rows, uniform_policy
+from common import generator
+from made import OBS, QUICK, ended, rows, uniform_policy
 
 from tom.analysis import why
 from tom.config import RolloutConfig, TomConfig

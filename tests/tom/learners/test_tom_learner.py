@@ -4,7 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from made import ACTION, OBS, QUICK, context, generator, rows, uniform_policy
+from common import generator
+from made import ACTION, OBS, QUICK, context, rows, uniform_policy
 
 from tom.config import TomConfig
 from tom.data.transitions import Transitions
@@ -29,20 +30,6 @@ def weigh(replay: Transitions, policy_rows: Transitions, config: TomConfig = QUI
     return occupancy_weights(
         replay, policy_rows, uniform_policy, torch.zeros(4, OBS), config, generator(2)
     )
-
-
-def test_uniform_and_not_ready_until_the_warm_up_is_over():
-    tom = learner(QUICK.but(warmup=1000))
-    for steps in (0, 999):
-        found = tom.weigh(context(rows(200), on_policy_steps=steps))
-        assert not found.ready
-        assert (found.weights == 1).all()
-        assert found.log_ratio is None
-    found = tom.weigh(context(rows(200), on_policy_steps=1000))
-    assert found.ready
-    assert found.weights.std() > 0
-    assert found.clipped
-    assert found.log_ratio is not None
 
 
 @pytest.mark.parametrize("divergence", ["chi2", "full-chi2", "kl"])

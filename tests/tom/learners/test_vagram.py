@@ -47,16 +47,6 @@ def test_clipping_bounds_rows_and_keeps_their_proportions():
     torch.testing.assert_close(clip_rows(raw, 1.0), raw)
 
 
-def test_uniform_until_there_is_a_value_function_and_experience():
-    learner = VagramLearner(VagramConfig())
-    without = learner.weigh(context(rows(50)))
-    exploring = learner.weigh(context(rows(50), on_policy_steps=0, value_gradient=linear_heads))
-    for found in (without, exploring):
-        assert not found.ready
-        assert found.per_dim is None
-        assert (found.weights == 1).all()
-
-
 def test_a_flat_value_function_falls_back_to_uniform_and_says_so():
     learner = VagramLearner(VagramConfig())
     flat = context(rows(50), value_gradient=lambda s: torch.zeros(2, *s.shape))

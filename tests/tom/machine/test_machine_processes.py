@@ -4,10 +4,9 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from pathlib import Path
 
 import pytest
+from kernel import alive, wait_for
 
 from tom.machine import processes
 
@@ -21,15 +20,6 @@ child = processes.start(
 print(child.pid, flush=True)
 time.sleep(600)
 """
-PATIENCE_S = 30.0
-
-
-def gone(pid: int) -> bool:
-    """It has ended; a child that nobody has waited for yet counts as ended."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    except OSError:
-        return True
 
 
 @pytest.mark.parametrize("outlives", [False, True])
@@ -41,13 +31,10 @@ def test_a_child_ends_with_its_starter_unless_it_outlives_it(outlives: bool) -> 
     parent.wait()
     parent.stdout.close()
     if outlives:
-        assert not gone(child)
+        assert alive(child)
         os.kill(child, signal.SIGKILL)
         return
-    deadline = time.monotonic() + PATIENCE_S
-    while not gone(child) and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert gone(child)
+    wait_for(lambda: not alive(child))
 
 
 def test_who_does_not_stop_is_killed() -> None:

@@ -1,6 +1,7 @@
 """Rollouts in a learnt model against the plainest way of making them."""
 
 import torch
+from common import generator
 from torch import Tensor
 
 from tom.config import ModelConfig, RolloutConfig, SacConfig
@@ -12,10 +13,6 @@ from tom.policy.sac import ActorCritic, Sac
 
 HOPPER = task("hopper")
 DIMS = HOPPER.obs_dim, HOPPER.action_dim
-
-
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def parts() -> tuple[ActorCritic, Mdn]:

@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 
 from tom.cli import main
-from tom.errors import UserError
 from tom.record import Store
-from tom.reports.index import _commit, _commits, index, short_command, small_copies, write
+from tom.reports.index import _commit, _commits, index, short_command, small_copies
 
 TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun", "--steps", "250"]
 
@@ -52,18 +51,6 @@ def test_small_copies_alone_are_listed_with_their_numbers(tmp_path: Path, capsys
     assert f"torch {run.config['versions']['torch']}" in page
     assert main(["runs", "export", "--keep", "buffer", "--store", str(store)]) == 2
     assert main(["runs", "export", "--without", "snapshots", "--store", str(store)]) == 2
-
-
-def test_a_page_that_a_person_wrote_stays(tmp_path: Path):
-    page = tmp_path / "README.md"
-    page.write_text("# Our runs\n")
-    with pytest.raises(UserError, match="move it away"):
-        write(page, index([], []))
-    assert page.read_text() == "# Our runs\n"
-    page.unlink()
-    write(page, index([], []))
-    write(page, index([], []) + "once more")
-    assert page.read_text().endswith("once more")
 
 
 def test_the_commits_of_resumes_are_told_too(tmp_path: Path):

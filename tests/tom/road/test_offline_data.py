@@ -1,14 +1,11 @@
 import numpy as np
 import pytest
 import torch
+from common import generator
 
 from tom.config import RoadConfig
 from tom.rng import Streams
 from tom.road import offline_data, task
-
-
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.fixture(scope="module")

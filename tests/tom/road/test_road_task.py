@@ -2,12 +2,9 @@ import math
 
 import pytest
 import torch
+from common import generator
 
 from tom.road import task
-
-
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def one(x: float, y: float) -> torch.Tensor:

@@ -1,13 +1,14 @@
 """What a sweep is to run, from options and YAML; and whose run is whose."""
 
+import re
 from pathlib import Path
 
 import pytest
+from common import one_line
 
 from tom.cli import Parser
 from tom.cli.parser import overrides
 from tom.cli.train import add_parser
-from tom.errors import UserError
 from tom.record import Store
 from tom.record.export import export_small
 from tom.record.writer import RunWriter
@@ -92,10 +93,8 @@ def test_the_words_of_a_trial_make_the_same_training(tmp_path: Path):
     ],
 )
 def test_bad_plans_are_one_line(text: str, named: str, tmp_path: Path):
-    with pytest.raises(UserError) as refused:
+    with one_line(re.escape(named)):
         trials(plan_of(text, tmp_path))
-    assert named in str(refused.value)
-    assert "\n" not in str(refused.value)
 
 
 def test_a_run_is_known_by_its_settings_not_by_its_name(tmp_path: Path):

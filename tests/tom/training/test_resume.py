@@ -4,13 +4,13 @@ import json
 import shutil
 from collections.abc import Iterator
 from errno import ENOSPC
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from common import online, reloaded, stopping_at
 from same_records import assert_same_record
 
 from tom.analysis.weighing import load_policy
@@ -28,15 +28,13 @@ from tom.record import Store, checkpoint
 from tom.record.writer import RunWriter
 from tom.training.presets import learners, resolve
 from tom.training.resume import resume, unfinished
-from tom.training.run import AnyConfig, Stop, Training, make_training, train
+from tom.training.run import AnyConfig, Training, make_training, train
 
 STEPS, STOP = 430, 347  # stops within an episode and between two fits
 
 
 def smoke(env: str, learner: str, **changes: Any) -> OnlineConfig:
-    config = resolve(env, learner, "smoke", {"steps": STEPS, "tom": {"warmup": 50}, **changes})
-    assert isinstance(config, OnlineConfig)
-    return config
+    return online(env, learner, {"steps": STEPS, "tom": {"warmup": 50}, **changes})
 
 
 def until(events: Iterator[Event], step: int) -> list[Event]:
@@ -47,14 +45,6 @@ def until(events: Iterator[Event], step: int) -> list[Event]:
         if isinstance(event, Tick) and event.ends_step and event.env_step == step:
             return seen
     pytest.fail(f"no end of step {step}")
-
-
-def through_a_file(state: dict[str, Any]) -> dict[str, Any]:
-    """Saved and loaded without executing code."""
-    file = BytesIO()
-    torch.save(state, file)
-    file.seek(0)
-    return torch.load(file, weights_only=True)
 
 
 def collected(training: Training, events: list[Event]) -> Collected:
@@ -115,12 +105,12 @@ def check(config: AnyConfig, stop: int, in_episode: bool = True) -> None:
     if in_episode:
         assert getattr(training, "_episode_length", 1) > 0, "stopped between two episodes"
         assert getattr(training, "_obs", True) is not None, "stopped between two episodes"
-    state = through_a_file(training.state_dict())
+    state = reloaded(training.state_dict())
     undisturbed = list(events)
 
     resumed = make_training(config)
     resumed.load_state_dict(state, collected(training, before))
-    assert_same_state(state, through_a_file(resumed.state_dict()))
+    assert_same_state(state, reloaded(resumed.state_dict()))
     assert_same_events(undisturbed, list(resumed.events()))
     assert_same_state(training.state_dict(), resumed.state_dict())
 
@@ -170,7 +160,7 @@ def test_a_checkpoint_from_before_exams_goes_on_without_the_one_that_it_cannot_s
     training = make_training(smoke("inverted-pendulum", "tom"))
     events = training.events()
     before = until(events, STOP)
-    state = through_a_file(training.state_dict())
+    state = reloaded(training.state_dict())
     del state["fitted"]
     undisturbed = list(events)
     resumed = make_training(smoke("inverted-pendulum", "tom"))
@@ -280,16 +270,12 @@ def test_a_run_that_ended_between_its_last_checkpoint_and_its_end_goes_on_to_it(
 
 
 def test_a_run_that_goes_on_has_no_last_policy_until_it_has_ended_again(tmp_path: Path):
-    store, known, stop = Store(tmp_path), task("inverted-pendulum"), Stop()
-
-    def watch(event: Event) -> None:
-        if event.env_step == 270 and not stop.asked:
-            stop()
-
+    store, known = Store(tmp_path), task("inverted-pendulum")
+    stop, watchers = stopping_at(270)
     first = train(short(), store, "a", rerun=False)
     before = load_policy("a", store, known)
     assert first.has_policy()
-    resume(store, "a", 300, rerun=False, watchers=[watch], stop=stop)
+    resume(store, "a", 300, rerun=False, watchers=watchers, stop=stop)
     assert not store.run("a").has_policy()
     kept = ", ".join(map(str, store.run("a").policy_steps()))
     with pytest.raises(UserError, match=f"kept no policy of its end: --step takes one of {kept}"):
@@ -328,13 +314,8 @@ def test_a_command_that_names_its_run_goes_on_with_no_other(tmp_path: Path, caps
 
 
 def test_a_run_that_goes_on_keeps_its_warnings(tmp_path: Path):
-    store, stop = Store(tmp_path), Stop()
+    store, (stop, watchers) = Store(tmp_path), stopping_at(150)
     few = short().but(sac={"batch_size": 150})  # the buffer begins with fewer rows
-
-    def watch(event: Event) -> None:
-        if event.env_step == 150 and not stop.asked:
-            stop()
-
-    stopped = train(few, store, "a", rerun=False, watchers=[watch], stop=stop).status
+    stopped = train(few, store, "a", rerun=False, watchers=watchers, stop=stop).status
     assert any("minibatch of" in text for text in stopped.warnings)
     assert resume(store, "a", rerun=False).status.warnings == stopped.warnings

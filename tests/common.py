@@ -1,0 +1,55 @@
+"""What tests of several rooms do: draws, trainings and their stop, states, one-line errors."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from typing import Any
+
+import pytest
+import torch
+
+from tom.config import OnlineConfig
+from tom.errors import UserError
+from tom.events import Event
+from tom.training.presets import resolve
+from tom.training.run import Stop
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def online(
+    env: str, learner: str, changes: dict[str, Any] | None = None, preset: str | None = "smoke"
+) -> OnlineConfig:
+    """The settings of a training in a task other than road-and-rocks."""
+    config = resolve(env, learner, preset, changes)
+    assert isinstance(config, OnlineConfig)
+    return config
+
+
+def stopping_at(step: int) -> tuple[Stop, tuple[Callable[[Event], None]]]:
+    """A stop, and the watcher of a training that asks for it at an env step, once."""
+    stop = Stop()
+
+    def watch(event: Event) -> None:
+        if event.env_step == step and not stop.asked:
+            stop()
+
+    return stop, (watch,)
+
+
+def reloaded(state: Any) -> Any:
+    """A state as a checkpoint gives it back: saved, and loaded without executing code."""
+    file = BytesIO()
+    torch.save(state, file)
+    file.seek(0)
+    return torch.load(file, weights_only=True)
+
+
+@contextmanager
+def one_line(words: str | None = None, kind: type[UserError] = UserError) -> Iterator[None]:
+    """The block is refused, with these words in one line."""
+    with pytest.raises(kind, match=words) as raised:
+        yield
+    assert "\n" not in str(raised.value)
