@@ -70,16 +70,6 @@ def test_disk_full_from_the_command_line__exit_75_and_it_says_so(small_disk: Pat
 
 
 @pytest.mark.quick
-def test_disk_full_before_the_first_checkpoint__resume_is_refused(small_disk: Path):
-    store, full = Store(small_disk / "store"), filling_at(60, small_disk)
-    with pytest.raises(OSError, match=r"No space left|disk full"):
-        train(config(checkpoint_every=200), store, "a", rerun=False, watchers=full)
-    (small_disk / ".filler").unlink()
-    with pytest.raises(UserError, match="no checkpoint that is whole"):
-        resume(store, "a", rerun=False)
-
-
-@pytest.mark.quick
 def test_disk_full_while_checkpointing__the_one_before_stays_and_training_goes_on_with_a_warning(
     small_disk: Path,
 ):

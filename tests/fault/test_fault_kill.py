@@ -2,7 +2,6 @@
 
 import shutil
 import signal
-import time
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -126,35 +125,6 @@ def test_a_signal_to_stop__a_checkpoint_is_written_and_resume_auto_ends_as_if_un
     assert ended(tom(*command, "--resume", "auto"))[0] == 0
     assert [reader.run_id for reader in Store(tmp_path / "store").runs()] == ["a"]
     assert_same_record(truth, Store(tmp_path / "store").run("a"))
-
-
-@pytest.mark.usefixtures("not_under_nohup")
-def test_a_terminal_that_closes_and_sends_sighup_twice__a_checkpoint_is_written(tmp_path: Path):
-    process = tom(*train_command(tmp_path, steps=700), "--run-id", "a")
-    run = RunReader(tmp_path / "a")
-    wait_until(lambda: run.path.exists() and len(run.metrics()) > 2)
-    for _ in range(2):  # from the shell and from the kernel: milliseconds apart, or as one
-        process.send_signal(signal.SIGHUP)
-        time.sleep(0.002)
-    process.send_signal(signal.SIGTERM)  # as whoever ends the whole session does
-    code, _, error = ended(process)
-    assert code == 1, error
-    assert run.status.state == "stopped"
-    assert checkpoint.newest(run.path / checkpoint.FOLDER) == run.status.env_step
-
-
-def test_a_command_killed_and_given_again_at_once_with_resume_auto__goes_on_with_the_same_run(
-    tmp_path: Path,
-):
-    command = train_command(tmp_path / "store", steps=700)
-    process = tom(*command, "--resume", "auto", "--run-id", "a")
-    folder = tmp_path / "store" / "a" / checkpoint.FOLDER
-    wait_until(lambda: checkpoint.newest(folder) is not None)
-    process.kill()
-    ended(process)
-    assert ended(tom(*command, "--resume", "auto"))[0] == 0
-    [run] = Store(tmp_path / "store").runs()
-    assert (run.run_id, run.status.state, run.status.env_step) == ("a", "finished", 700)
 
 
 def test_killed_before_its_first_checkpoint__resume_auto_starts_a_new_run_and_keeps_the_old(

@@ -8,7 +8,6 @@ import time
 from multiprocessing import get_context
 from pathlib import Path
 
-import numpy as np
 import pytest
 from faults import (
     config,
@@ -24,11 +23,9 @@ from kernel import alive, descendants
 from same_records import assert_same_record
 
 from tom.errors import UserError
-from tom.events import Metrics, Tick
+from tom.events import Tick
 from tom.record import RunReader, Store, lock, manage
 from tom.record.lock import LostError
-from tom.record.recorder import Recorder
-from tom.record.writer import RunWriter
 from tom.training.resume import resume
 from tom.training.run import train
 
@@ -149,28 +146,6 @@ def test_runs_of_one_learner_and_seed_begun_in_the_same_second__each_has_its_own
     assert [run.status.state for run in Store(tmp_path).runs()] == ["finished"] * 4
 
 
-@pytest.mark.quick
-def test_a_clock_that_goes_backwards__durations_stay_right_and_a_living_run_alive(tmp_path: Path):
-    clock, timer = [time.time()], [50.0]
-    writer = RunWriter.create(Store(tmp_path), "a", config())
-    recorder = Recorder(writer, clock=lambda: clock[0], timer=lambda: timer[0])
-    for step in range(1, 4):
-        recorder.consume(Metrics(step, {"critic/loss": 1.0}))
-        recorder.consume(Tick(step, "optimise"))
-        timer[0] += 10
-        clock[0] -= 3600  # somebody sets the clock, again and again
-    recorder.beat()
-    run = Store(tmp_path).run("a")
-    assert np.diff(run.metrics()["time/wall_s"]).tolist() == [10, 10]
-    assert run.metrics()["time/env_steps_per_s"].dropna().tolist() == [0.2, 0.1]
-    assert run.status.env_steps_per_s == pytest.approx(0.1)
-    assert not run.status.alive, "it was written three hours ago, for all that a reader knows"
-    clock[0] = time.time()
-    recorder.beat()
-    assert RunReader(run.path).status.alive
-    recorder.finish("finished")
-
-
 def test_a_heartbeat_from_the_future__is_a_dead_run_not_an_immortal_one(tmp_path: Path):
     run = stopped(Store(tmp_path), 130)
     status = json.loads((run.path / "status.json").read_text())
@@ -206,14 +181,6 @@ def test_a_terminal_that_is_gone__the_training_goes_on(tmp_path: Path):
 
     run = train(config(steps=60), Store(tmp_path), "a", rerun=False, watchers=(gone,))
     assert run.status.state == "finished"
-
-
-def test_output_into_a_closed_pipe__the_training_goes_on_to_its_end(tmp_path: Path):
-    process = tom(*train_command(tmp_path, steps=300), "--run-id", "a")
-    assert process.stdout is not None
-    process.stdout.close()
-    process.wait(120)
-    assert RunReader(tmp_path / "a").status.state == "finished"
 
 
 def test_a_study_killed_with_kill_9__its_processes_end_too(tmp_path: Path):

@@ -1,6 +1,5 @@
 """The launcher: one address, errors in one line, and an end without orphans."""
 
-import json
 import os
 import re
 import signal
@@ -9,10 +8,9 @@ import subprocess
 import sys
 import time
 import urllib.request
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from threading import Barrier, Event
+from threading import Event
 
 import pytest
 from kernel import LOOPBACK, alive, descendants, listening, wait_for
@@ -75,24 +73,6 @@ def test_the_studio_serves_and_ends_without_orphans(store: Path, tmp_path: Path)
         assert studio.wait(30) == 0
     wait_for(lambda: not any(map(alive, children)), 10)
     assert is_free("127.0.0.1", port)
-
-
-@pytest.mark.slow
-def test_two_studios_launched_at_once_each_serve_their_own_store(tmp_path: Path) -> None:
-    both_up = Barrier(2, timeout=START_S)
-
-    def served(name: str) -> str:
-        (tmp_path / name).mkdir()
-        with serving(Studio(store=tmp_path / name), Event()) as (links, running):
-            assert running
-            both_up.wait()
-            with urllib.request.urlopen(f"{links.address}/api/health", timeout=10) as answer:
-                store = json.load(answer)["store"]
-            both_up.wait()
-            return Path(store).name
-
-    with ThreadPoolExecutor(2) as launches:
-        assert list(launches.map(served, ["one", "other"])) == ["one", "other"]
 
 
 def scenes_of(pid: int, after: int = 0) -> int:

@@ -203,19 +203,6 @@ def test_at_a_step_a_runs_own_settings_hold(tmp_path: Path, capsys):
     np.testing.assert_allclose(found, run.snapshot(step)["weight"].to_numpy(), rtol=1e-5)
 
 
-def test_the_mended_objective_weighs_with_the_settings_that_it_trains_with(
-    store: Path, tmp_path: Path, capsys
-):
-    words = ["weigh", "sac", "--policy", "sac", "--learner", "tom", "--seeds", "0", "--preset",
-             "mended", "--footprint", "100", "--store", str(store), "--json"]  # fmt: skip
-    short = ["--tom.discriminator-steps", "20", "--tom.q-steps", "25", "--out", str(tmp_path / "w")]
-    assert main([*words, *short]) == 0
-    config = json.loads(capsys.readouterr().out)["config"]["tom"]
-    trained = resolve("inverted-pendulum", "tom", "mended").tom
-    same = ("flow", "divergence", "action_samples", "q_holdout", "q_check_every")
-    assert {name: config[name] for name in same} == {name: getattr(trained, name) for name in same}
-
-
 def test_a_policy_of_an_earlier_fit_by_its_file(store: Path, tmp_path: Path, capsys):
     shutil.copytree(store / "trained", tmp_path / "trained")
     policy = str(tmp_path / "trained" / "policies" / "000000200.npz")

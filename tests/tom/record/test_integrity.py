@@ -2,7 +2,6 @@
 
 import json
 import os
-import resource
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -74,26 +73,6 @@ def test_damaged_lines_become_blank_where_they_are_and_are_kept_aside(record):
     repair(run)
     names = {p.name for p in (run.path / "damaged").iterdir()}
     assert names == {"notices.jsonl", "notices.jsonl~2"}
-
-
-def test_a_run_that_was_repaired_goes_on_where_its_checkpoint_was(store: Store):
-    writer = RunWriter.create(store, "a", Config)
-    for step in (1, 2):
-        writer.metrics({"env_step": step, "x": step})
-    mark = writer.mark()
-    writer.metrics({"env_step": 3, "x": 3.5})
-    writer.close()
-    path = store.path / "a" / "metrics.jsonl"
-    path.write_bytes(path.read_bytes().replace(b'{"env_step":1,', b'{"env_step"1;,'))
-    repair(store.run("a"))
-    writer = RunWriter(store.path / "a", Config)
-    writer.rewind(mark, 2)
-    for step in (3, 4):
-        writer.metrics({"env_step": step, "x": step})
-    writer.close()
-    run = store.run("a")
-    assert run.metrics()["x"].tolist() == [2, 3, 4]
-    assert run.problems == []
 
 
 def zeroed(content: bytes) -> bytes:
@@ -203,22 +182,6 @@ def test_a_lost_status_of_a_finished_run_is_made_again(
     assert verify(run) == []
 
 
-def test_a_lost_status_of_a_run_that_had_not_finished_is_stopped(store: Store, tmp_path: Path):
-    for name, given in (("at-the-end", events()[:-1]), ("half", events()[:700])):
-        with Recorder(RunWriter.create(store, name, Config)) as recorder:
-            for event in given:
-                recorder.consume(event)
-            recorder.finish("stopped")
-    copy = RunReader(export_small(store.run("half"), tmp_path / "copies"))
-    for run in (store.run("at-the-end"), store.run("half"), copy):
-        before = progress(run)
-        (run.path / "status.json").write_text('{"state": "finis')
-        repair(run)
-        assert RunReader(run.path).status.state == "stopped"
-        assert RunReader(run.path).status.reason
-        assert progress(run)[2:5] == before[2:5]
-
-
 def test_a_run_that_is_written_is_not_touched(store: Store):
     with Recorder(RunWriter.create(store, "run", Config)):
         assert verify(store.run("run")) == []
@@ -241,24 +204,6 @@ def test_a_repair_killed_at_a_rename__leaves_every_row_and_the_next_one_repairs_
     repair(run)
     assert run.notices() == held
     assert verify(run) == []
-
-
-@pytest.mark.fault
-@pytest.mark.quick
-def test_a_disk_that_is_full_during_a_repair__is_named_and_the_rows_stay(record):
-    run = record()
-    rows = run.path / "metrics.jsonl"
-    rows.write_bytes(b"damaged\n" + rows.read_bytes())
-    held = rows.read_bytes()
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (500, before[1]))
-    try:
-        with pytest.raises(UserError, match="cannot repair run 'run'"):
-            repair(run)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert rows.read_bytes() == held
-    assert [path for path in (run.path / "damaged").rglob("*") if path.is_file()] == []
 
 
 def test_sizes_and_pruning_checkpoints(record, tmp_path: Path):
@@ -312,34 +257,6 @@ def test_a_bit_flipped_in_any_file_of_a_finished_run__is_found_by_its_digest(rec
         flip(run.path / name, at)
         assert any(name in problem for problem in verify(run)), at
         flip(run.path / name, at)
-    assert verify(run) == []
-
-
-@pytest.mark.fault
-@pytest.mark.quick
-def test_weights_that_read_well_and_are_not_those_of_the_run__are_named_and_set_aside(record):
-    run = record()
-    name = "weights/snapshot-000001000.parquet"
-    content = (run.path / "weights/snapshot-000000400.parquet").read_bytes()
-    (run.path / name).write_bytes(content)
-    (problem,) = verify(run)
-    assert problem.startswith(name)
-    (done,) = repair(run)
-    assert f"damaged/{name}" in done
-    assert (run.path / "damaged" / name).read_bytes() == content
-    assert verify(run) == []
-
-
-@pytest.mark.fault
-@pytest.mark.quick
-def test_rows_that_were_changed_by_hand__are_named_and_kept(record):
-    run = record()
-    path = run.path / "notices.jsonl"
-    path.write_bytes(path.read_bytes().replace(b"zero", b"well"))
-    (problem,) = verify(run)
-    assert problem.startswith("notices.jsonl")
-    (done,) = repair(run)
-    assert done.startswith("notices.jsonl")
     assert verify(run) == []
 
 

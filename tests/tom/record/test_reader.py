@@ -52,20 +52,6 @@ def test_later_rows_of_a_step_win_and_steps_are_in_order(record):
     assert table["b"].isna().all()
 
 
-def test_damaged_metric_and_profile_rows(record):
-    run = record()
-    (run.path / "metrics.parquet").unlink()
-    for name in ("metrics.jsonl", "weights/profiles.jsonl"):
-        path = run.path / name
-        lines = path.read_bytes().splitlines()
-        lines[1] = b"\x00\x01"
-        path.write_bytes(b"\n".join(lines))  # the last line is without its end
-    assert run.metrics()["env_step"].tolist() == [100, *range(300, 1000, 100)]
-    assert run.profiles().env_step.tolist() == [100, *range(300, 1000, 100)]
-    named = [problem.partition(":")[0] for problem in run.problems]
-    assert named == ["metrics.jsonl", "metrics.jsonl", "profiles.jsonl", "profiles.jsonl"]
-
-
 def test_the_buffer_ends_where_a_segment_is_missing_or_damaged(record):
     run = record()
     folder = run.path / "buffer"

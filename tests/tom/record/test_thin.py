@@ -232,13 +232,6 @@ def test_what_is_large_is_left_out_unless_it_is_asked_for(
     assert len(kept.buffer()[0]) == STEPS
 
 
-def test_pictures_are_those_of_the_snapshots(record, tmp_path: Path):
-    run = record()
-    small = RunReader(export_small(run, tmp_path))
-    assert small.field_steps("map") == [500, 1000]
-    assert set(small.snapshot_steps()) <= set(run.snapshot_steps())
-
-
 def test_the_policy_that_drew_each_action_stays_in_run_and_copy(record, tmp_path: Path):
     rows, width = transitions(0, 9), 2 * ACTION
     behaviour = np.linspace(-3, 3, 9 * width, dtype=np.float32).reshape(9, width)

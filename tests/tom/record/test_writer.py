@@ -72,17 +72,3 @@ def test_rows_that_a_checkpoint_counts_on_outlive_a_power_loss_long_after_it(
     write(again, 60, 10)
     again.close()
     assert held(again.path) == list(range(70))
-
-
-@pytest.mark.parametrize("before", [0, 60])
-def test_a_rewound_record_has_no_row_from_after_its_mark(tmp_path: Path, before: int):
-    writer = RunWriter.create(Store(tmp_path), "a", Config)
-    if before:
-        write(writer, 0, before)
-    mark = writer.mark()
-    write(writer, before, 40)
-    writer.mark()
-    write(writer, before + 40, 40)
-    writer.rewind(mark, 0)
-    assert held(writer.path) == list(range(before))
-    writer.close()

@@ -15,7 +15,7 @@ from sweeping import assert_same_runs, beyond_a_checkpoint, finish, plan, until
 from tom.cli import main
 from tom.errors import TRY_LATER, UserError
 from tom.events import Tick
-from tom.record import RunReader, Store, checkpoint, layout
+from tom.record import RunReader, Store, layout
 from tom.record.bucket import attempts
 from tom.record.bucket.attempts import FETCHED, Attempt, fetch_run
 from tom.record.bucket.objects import Bucket
@@ -88,28 +88,6 @@ def test_a_worker_killed_with_all_it_had__goes_on_from_the_object_store_to_the_s
     assert fetched.run(job.run_id).config["resumes"]
     finish(Driver(FolderBackend(undisturbed), planned, LocalEngine(1)))
     assert_same_runs(fetched, undisturbed)
-
-
-@pytest.mark.fault
-def test_rows_that_an_object_store_lost__are_not_trained_over(
-    bucket_url: str, tmp_path: Path, monkeypatch
-):
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    planned, bucket = plan(learner=["mle"], seeds=[0], steps=4000), Bucket.open(bucket_url)
-    with BucketBackend(bucket, planned) as backend:
-        driver = Driver(backend, planned, LocalEngine(1))
-        until(lambda: beyond_a_checkpoint(backend.store), driver.poll)
-        driver.stop()
-    [name] = [name for name in bucket.names() if name.endswith(layout.METRICS)]
-    rows = bucket.read(name).splitlines(keepends=True)
-    bucket.write(name, b"".join(rows[: len(rows) // 2]))
-    with BucketBackend(bucket, planned) as backend:
-        driver = Driver(backend, planned, LocalEngine(1))
-        finish(driver)
-        assert driver.jobs[0].state == "failed"
-        assert layout.METRICS in driver.jobs[0].note
-    [name] = [name for name in bucket.names() if name.endswith(layout.METRICS)]
-    assert bucket.read(name) == b"".join(rows[: len(rows) // 2])
 
 
 def test_a_store_that_does_not_answer_a_worker_is_no_reason_to_give_up_at_once(
@@ -299,27 +277,6 @@ def test_the_last_puts_fail__the_finished_run_stays_and_the_same_command_puts_it
     fetched = worked / trial.run_id
     assert {path.name: path.read_bytes() for path in fetched.glob("*.json*")} == held
     assert len(Bucket.open(bucket_url).folders(trial.run_id)) <= 2, "one is claimed, one is whole"
-
-
-@pytest.mark.fault
-def test_the_last_puts_of_a_stopped_run_fail__it_goes_on_from_what_stayed(
-    bucket_url: str, worked: Path, monkeypatch
-):
-    (trial,) = plan(learner=["mle"], seeds=[0], steps=200)
-    words = [*trial.options(), f"--run-id={trial.run_id}", "--resume=auto"]
-    with monkeypatch.context() as failing:
-        failing.setattr(Attempt, "put", refusing(ended=False))
-        assert worker.main(bucket_url, OWN, trial.run_id, words) == TRY_LATER
-    (kept,) = worked.glob(f"*/*/{trial.run_id}")
-    content = json.loads((kept / "status.json").read_text()) | {"state": "stopped"}
-    (kept / "status.json").write_text(json.dumps(content))
-    assert checkpoint.newest(kept / checkpoint.FOLDER) == 200
-    (kept / "checkpoint" / "000000200").rename(kept / "gone")  # as if it had been stopped before
-    assert worker.main(bucket_url, OWN, trial.run_id, words) == 0
-    fetch_run(Bucket.open(bucket_url), trial.run_id, Store(worked))
-    done = Store(worked).run(trial.run_id)
-    assert done.status.state == "finished"
-    assert "--resume" in done.config["resumes"][0]["command"]
 
 
 @pytest.mark.fault

@@ -107,19 +107,6 @@ def test_a_training_that_fails_for_a_reason_of_its_own__is_tried_once_and_stops_
     assert failed.log.read_text().count("$ tom train") == 1
 
 
-def test_death_before_the_first_checkpoint__begins_anew(tmp_path: Path):
-    (trial,) = plan(learner=["mle"], seeds=[0])
-    driver = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=0.1)
-    until(lambda: (tmp_path / trial.run_id / "metrics.jsonl").exists(), driver.poll)
-    (job,) = driver.jobs
-    assert job.process
-    job.process.kill()
-    finish(driver)
-    assert job.state == "finished"
-    trash = tmp_path / ".trash" / trial.run_id
-    assert not trash.exists() or (trash / "config.json").exists()
-
-
 def stopped(store: Path) -> Trial:
     """A training that a sweep into `store` has stopped beyond its first checkpoint."""
     (trial,) = plan(learner=["mle"], seeds=[0], steps=1500)
@@ -128,16 +115,6 @@ def stopped(store: Path) -> Trial:
     driver.stop()
     assert driver.jobs[0].state == "stopped"
     return trial
-
-
-def test_no_checkpoint_of_a_run_can_be_loaded__begins_anew_and_keeps_the_old_one(tmp_path: Path):
-    trial = stopped(tmp_path)
-    for path in (tmp_path / trial.run_id / "checkpoint").rglob("state.pt"):
-        path.write_bytes(path.read_bytes()[:-10])
-    second = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=0.1)
-    finish(second)
-    assert second.jobs[0].state == "finished"
-    assert (tmp_path / ".trash" / trial.run_id / "config.json").exists()
 
 
 def test_a_run_that_is_refused_for_now__is_reported_and_kept(tmp_path: Path):

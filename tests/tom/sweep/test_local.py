@@ -11,7 +11,7 @@ from commands import code_of
 from sweeping import until
 
 from tom.events import Metrics, Tick
-from tom.record import Store, checkpoint, layout, lock
+from tom.record import Store, checkpoint, layout
 from tom.record.export import export_small
 from tom.record.files import replace_json
 from tom.record.recorder import Recorder
@@ -249,20 +249,6 @@ def test_nothing_is_started_on_a_full_disk(tmp_path: Path):
     assert driver.full
     assert [job.state for job in driver.jobs] == ["waiting"]
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_run_that_another_process_writes_is_left_to_it(tmp_path: Path):
-    (trial,) = trials(checked({"env": "inverted-pendulum", "learner": "mle", "preset": "smoke"}))
-    writer = RunWriter.create(Store(tmp_path), trial.run_id, trial.config)
-    try:
-        driver = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1))
-        assert not driver.poll()
-        assert driver.jobs[0].state == "elsewhere"
-        assert lock.held(writer.path)
-        assert not driver.poll()
-        assert driver.jobs[0].process is None
-    finally:
-        writer.close()
 
 
 class Patchy(FolderBackend):

@@ -5,10 +5,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
-from sweeping import plan, until
+from sweeping import plan
 
-from tom.errors import TRY_LATER
-from tom.record import Store, layout, lock, manage
+from tom.record import Store, layout
 from tom.record.files import replace_json
 from tom.record.status import DEAD_AFTER_S, Status
 from tom.record.writer import RunWriter
@@ -32,23 +31,6 @@ def died_early(tmp_path: Path, trial: Trial) -> Store:
     store = Store(tmp_path)
     RunWriter.create(store, trial.run_id, trial.config).close()
     return store
-
-
-@pytest.mark.slow
-def test_a_training_that_found_its_run_locked_for_a_moment_is_tried_again(
-    died_early: Store, trial: Trial
-):
-    """As by `tom runs repair`, or by another sweep that was a moment earlier."""
-    driver = Driver(FolderBackend(died_early), [trial], LocalEngine(1), back_off_s=LONG_S)
-    (job,) = driver.jobs
-    driver.poll()
-    held = lock.acquire(died_early.path / trial.run_id)
-    until(lambda: job.process is None or job.process.poll() is not None)
-    held.close()
-    driver.poll()
-    assert f"exit code {TRY_LATER}" in job.note
-    assert (job.state, job.attempts) == ("waiting", 1)
-    assert manage.trashed(died_early) == []
 
 
 @pytest.mark.parametrize("off_s", [-1e4, 1e4])

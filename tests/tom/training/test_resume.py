@@ -148,14 +148,6 @@ def test_learnt_ends_go_on():
     check(smoke("hopper", "tom", model={"termination": "learnt"}), STOP)
 
 
-def test_a_recording_of_sac_goes_on_in_a_gymnasium_task():
-    small = {"hidden": 16, "batch_size": 32}
-    config = SacRecordingConfig(env="gymnasium:Reacher-v5", steps=100, exploration_steps=40).but(
-        sac=small, evaluation={"every": 60, "episodes": 1}
-    )
-    check(config, 100 + 17)
-
-
 def test_a_checkpoint_from_before_exams_goes_on_without_the_one_that_it_cannot_sit():
     training = make_training(smoke("inverted-pendulum", "tom"))
     events = training.events()
@@ -196,12 +188,6 @@ def test_a_run_whose_buffer_holds_less_than_its_exploration_goes_on(stop: int):
 @pytest.mark.parametrize("learner", [n for n in LEARNER_NAMES if n in learners("road-and-rocks")])
 def test_road_and_rocks_resumed_equals_uninterrupted(learner: str):
     check(road(learner, 250), 123, in_episode=False)
-
-
-@pytest.mark.slow
-def test_road_and_rocks_goes_on_before_its_learner_has_weights():
-    """Until VaGram follows a value function, start states are drawn without weights."""
-    check(road("vagram", 110), 37, in_episode=False)
 
 
 def road(learner: str, steps: int) -> AnyConfig:

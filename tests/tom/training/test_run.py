@@ -11,7 +11,7 @@ from same_records import assert_same_record
 
 from tom.config import OnlineConfig
 from tom.errors import UserError
-from tom.record import RunReader, Store, checkpoint
+from tom.record import RunReader, Store
 from tom.training.resume import resume
 from tom.training.run import train
 
@@ -58,19 +58,6 @@ def test_a_finished_run_that_goes_on_has_its_last_fit_examined_anew(undisturbed,
     assert exams(resume(store, "a", STEPS, rerun=False)) == whole
 
 
-def test_a_run_whose_last_checkpoint_is_damaged_goes_on_from_the_one_before(
-    undisturbed, tmp_path: Path
-):
-    store = Store(tmp_path)
-    stop, watchers = stopping_at(STOP)
-    stopped = train(config(), store, "a", rerun=False, watchers=watchers, stop=stop)
-    newest = stopped.path / checkpoint.FOLDER / f"{STOP:09d}" / "state.pt"
-    newest.write_bytes(newest.read_bytes()[:-100])
-    resumed = resume(store, "a", rerun=False)
-    assert_same_record(undisturbed, resumed)
-    assert any(f"{STOP:09d}" in notice["message"] for notice in resumed.notices())
-
-
 def test_a_finished_run_goes_on_when_it_is_given_more_steps(undisturbed, tmp_path: Path):
     store = Store(tmp_path)
     train(config(steps=STOP), store, "a", rerun=False)
@@ -79,15 +66,6 @@ def test_a_finished_run_goes_on_when_it_is_given_more_steps(undisturbed, tmp_pat
     longer = resume(store, "a", steps=STEPS, rerun=False)
     assert longer.status.total == STEPS
     np.testing.assert_array_equal(longer.buffer()[0].obs, undisturbed.buffer()[0].obs)
-
-
-def test_a_run_without_a_checkpoint_says_so(tmp_path: Path):
-    store = Store(tmp_path)
-    train(config(steps=50, checkpoint_every=0), store, "a", rerun=False)
-    for folder in (tmp_path / "a" / checkpoint.FOLDER).iterdir():
-        (folder / "manifest.json").unlink()
-    with pytest.raises(UserError, match="no checkpoint"):
-        resume(store, "a", rerun=False)
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")

@@ -77,12 +77,6 @@ def test_a_recording_is_found_again_by_its_settings(recording: RunReader):
         assert recorded(store, changed) is None
 
 
-def test_actions_of_the_random_half_are_uniform(recording: RunReader):
-    action = np.asarray(recording.buffer()[0].action)[:STEPS]
-    assert abs(action.mean()) < 0.05
-    assert action.std() == pytest.approx(1 / np.sqrt(3), abs=0.02)
-
-
 def test_same_seed_same_bits_and_evaluations_leave_no_trace():
     def rows(**changes: object) -> tuple[torch.Tensor, torch.Tensor]:
         small = config("inverted-pendulum", steps=120, exploration_steps=40, **changes)

@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from recorded import FIT, STEPS, Config, events, logged
+from recorded import Config, events, logged
 from rerun.chunk import RrdReader
 
 from tom.events import Metrics
-from tom.record import RunReader, Store, layout
+from tom.record import RunReader, Store
 from tom.record.recorder import Recorder
-from tom.record.rerun import feed
 from tom.record.rerun.feed import Follower, Tail, stream
 from tom.record.writer import RunWriter
 
@@ -57,23 +56,6 @@ def test_a_stream_grows_with_the_run_and_ends_with_it(store: Store, tmp_path: Pa
     for part in parts:
         got += _steps(part, tmp_path)
     assert got == store.run("run").profiles().env_step.tolist() != begun
-
-
-def test_a_long_run_is_streamed_in_pieces(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(feed, "BLOCK_BYTES", 100)  # two rows of metrics
-    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
-        for event in events():
-            recorder.consume(event)
-    rows = (store.run("run").path / layout.METRICS).read_bytes().splitlines()
-    parts = list(stream(store.run("run")))
-    metric = "model/holdout_nll"
-    steps = [found for part in parts if (found := _steps(part, tmp_path, metric))]
-    assert len(steps) >= len(rows) / 3 > 3
-    assert [step for part in steps for step in part] == list(range(FIT, STEPS + 1, FIT))
-    profiles = [step for part in parts for step in _steps(part, tmp_path)]
-    assert profiles == store.run("run").profiles().env_step.tolist()
 
 
 def test_of_a_run_that_has_nothing_yet_the_layout_is_streamed(record):
