@@ -17,7 +17,7 @@ from app.data.studies import FOLDER, QUESTIONS, REPORT
 from app.servers import browser_bench, map_bench
 from app.servers.browser_bench import Measured
 from tom.cli import Parser
-from tom.cli.tables import show
+from tom.cli.tables import show_rows
 from tom.envs import ROAD
 from tom.record import layout
 from tom.record.reader import RunReader
@@ -112,14 +112,8 @@ def _shown(title: str, found: Iterable[Measured], args: argparse.Namespace) -> i
     if args.json:
         print(json.dumps(rows))
     else:
-        show(title, list(rows[0]), [[_cell(value) for value in row.values()] for row in rows])
+        show_rows(title, rows)
     return 0 if all(row["met"] for row in rows) else 1
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.2f}"
-    return "-" if value is None else str(value)
 
 
 if __name__ == "__main__":

@@ -1,19 +1,18 @@
 """Rerun's viewer may be absent, die, or never read: neither studio nor training is disturbed."""
 
 import json
-import os
 import socket
 from contextlib import suppress
 from pathlib import Path
 from time import sleep
 
 import pytest
-from faults import config, ended, tom, train_command, wait_until
+from faults import config, wait_until
 from kernel import descendants, megabytes
 from servers import answers, command_of, studio
 
 from tom.events import Tick
-from tom.record import RunReader, Store
+from tom.record import Store
 from tom.record.recorder import Recorder
 from tom.record.rerun import viewer
 from tom.record.writer import RunWriter
@@ -111,20 +110,3 @@ def test_a_viewer_closed_or_its_run_deleted__its_process_ends_and_the_studio_ser
         assert answers(port, "/api/health")
         (tmp_path / "moved").rename(store.path / "a")
         recorder.beat()
-
-
-def test_a_training_with_rerun_whose_recording_is_a_pipe_nobody_reads__ends_all_the_same(
-    tmp_path: Path,
-):
-    command = [part for part in train_command(tmp_path) if part != "--no-rerun"]
-    code, _, error = ended(tom(*command, "--run-id", "a"))
-    assert code == 0, error
-    run = RunReader(tmp_path / "a")
-    first = run.rrd_files()[0]
-    first.unlink()
-    os.mkfifo(run.path / "run.rrd")
-    code, _, error = ended(
-        tom("train", "--resume", "a", "--store", tmp_path, "--steps", 280), timeout_s=120
-    )
-    assert code == 0, error
-    assert RunReader(tmp_path / "a").status.env_step == 280

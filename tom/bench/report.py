@@ -42,10 +42,7 @@ def put(path: Path, text: str) -> None:
     """Replace the text between the lines BEGIN and END. Raises UserError if they are missing."""
     before, after = require_place(path)
     whole = f"{before}{BEGIN}\n{text}\n{END}{after}".encode()
-    try:
-        replace(path, lambda file: file.write(whole), sync=False)
-    except OSError as error:
-        raise UserError(f"--into {path}: {reason(error)}; it is as it was") from error
+    replace(path, lambda file: file.write(whole), sync=False)
 
 
 def require_place(path: Path) -> tuple[str, str]:

@@ -214,7 +214,7 @@ def diff(args: argparse.Namespace) -> int:
 
 def _comparable(run: RunReader) -> dict[str, Any]:
     """What two runs may differ in, by dotted name, without what is unique to every run."""
-    if not run.config.get("config"):
+    if not run.given:
         raise UserError(f"run '{run.run_id}' has no settings to compare")
     own = {name: run.config.get(name) for name in ("config", "versions", "git_commit", "machine")}
     results = ("state", "env_step", "last_return", "best_return")

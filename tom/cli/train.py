@@ -213,14 +213,14 @@ def _new_steps(args: argparse.Namespace, settings: dict[str, Any]) -> str | None
     for option, value in (("--seeds", args.seeds), ("--run-id", args.run_id)):
         if value is not None:
             raise UserError(f"--resume {args.resume} is about that run alone: leave out {option}")
-    recorded = Store(args.store).run(args.resume).config
+    recorded = Store(args.store).run(args.resume)
     learner = " ".join(args.learner) if args.learner else None
     rule = settings.get("model", {}).pop("termination", None)  # named only to be imported
-    own_rule = recorded.get("config", {}).get("model", {}).get("termination")
+    own_rule = recorded.given.get("model", {}).get("termination")
     for option, value, own in (
-        ("--env", args.env, recorded.get("env")),
-        ("--learner", learner, recorded.get("learner")),
-        ("--preset", args.preset, recorded.get("preset")),
+        ("--env", args.env, recorded.env),
+        ("--learner", learner, recorded.learner),
+        ("--preset", args.preset, recorded.preset),
         ("--termination", rule, own_rule),
     ):
         if value not in (None, own):

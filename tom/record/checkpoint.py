@@ -8,11 +8,10 @@ byte would load as wrong numbers, so the hash is checked.
 
 import hashlib
 import io
-import json
 import pickle
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import Any, BinaryIO
 from tom.data.unpack import cannot_read_now
 from tom.errors import TryLaterError, reason
 from tom.record import layout
-from tom.record.files import read_json, replace, sync, whole_folder
+from tom.record.files import read_json, replace, replace_json, sync, whole_folder
 
 SCHEMA = 1
 FOLDER = "checkpoint"
@@ -45,14 +44,10 @@ class Checkpoint:
     unusable: list[Path] = field(default_factory=list)
 
 
-def save(
-    folder: Path, env_step: int, state: dict[str, Any], check: Callable[[], None] = lambda: None
-) -> Path:
+def save(folder: Path, env_step: int, state: dict[str, Any]) -> Path:
     """Write the checkpoint of `env_step` into `folder` and drop all but the last two.
 
-    `check` is the check of the writer's lock: writing takes a while, and whoever has taken the run
-    over meanwhile may have saved the same step. Raises its LostError, and OSError if the checkpoint
-    does not fit the disk; then nothing of it remains and earlier checkpoints stay.
+    Raises OSError if it does not fit the disk; then nothing of it remains and earlier ones stay.
     """
     import torch  # takes a second to import; who lists checkpoints does without it
 
@@ -63,12 +58,9 @@ def save(
     torch.save(state, content)
     with whole_folder(path) as unfinished:
         replace(unfinished / STATE, lambda file: file.write(content.getbuffer()), sync=True)
-        digest = hashlib.sha256(content.getbuffer()).hexdigest()
-        size = len(content.getbuffer())
+        digest, size = hashlib.sha256(content.getbuffer()).hexdigest(), len(content.getbuffer())
         manifest = {"schema": SCHEMA, "env_step": env_step, "sha256": digest, "bytes": size}
-        text = json.dumps(manifest, indent=1).encode()
-        replace(unfinished / MANIFEST, lambda file: file.write(text), sync=True)
-        check()
+        replace_json(unfinished / MANIFEST, manifest, sync=True)
         if path.exists():  # a resumed run writes this step again, with the same content
             shutil.rmtree(path)
     sync(folder)
@@ -80,34 +72,30 @@ def save(
 def load(folder: Path) -> Checkpoint | None:
     """The newest undamaged checkpoint, or None.
 
-    Raises TryLaterError if there is none but one that cannot be read for now, which may be whole.
+    Raises TryLaterError if one cannot be read for now: it may be whole, and newer than the others.
     """
     import torch
 
     problems: list[str] = []
     unusable: list[Path] = []
-    unread = ""
+    path = folder
     try:
-        found = _folders(folder)
-    except PermissionError as error:
-        found, unread = [], f"{folder.name}: {reason(error)}"
-    for path in found:
-        try:
-            with _whole(path) as file:
-                # On the CPU, so that it can be read on a machine without GPU.
-                state = torch.load(file, map_location="cpu", weights_only=True)
-        except UNUSABLE as error:
-            problems.append(f"checkpoint {path.name} cannot be used: {reason(error)}")
-            unusable.append(path)
-            if cannot_read_now(error):
-                unread = unread or f"checkpoint {path.name}: {reason(error)}"
-        else:
-            return Checkpoint(int(path.name), state, problems, unusable)
-    if unread:
+        for path in _folders(folder):
+            try:
+                with _whole(path) as file:
+                    # On the CPU, so that it can be read on a machine without GPU.
+                    state = torch.load(file, map_location="cpu", weights_only=True)
+                return Checkpoint(int(path.name), state, problems, unusable)
+            except UNUSABLE as error:
+                if cannot_read_now(error):
+                    raise
+                problems.append(f"checkpoint {path.name} cannot be used: {reason(error)}")
+                unusable.append(path)
+    except OSError as error:
         raise TryLaterError(
-            f"{folder.parent.name}: {unread}, so it cannot be read for now: see to the disk and "
-            "try again"
-        )
+            f"{folder.parent.name}: {path.relative_to(folder.parent)}: {reason(error)}, so it "
+            "cannot be read for now: see to the disk and try again"
+        ) from None
     return None
 
 

@@ -240,8 +240,7 @@ def _end_status(reader: RunReader, attested: bool) -> str:
     file, status = reader.path / layout.STATUS, reader.status
     table, newest = reader.metrics(), checkpoint.newest(reader.path / checkpoint.FOLDER)
     last = table.ffill().iloc[-1].to_dict() if len(table) else {}
-    settings = reader.config.get("config")
-    steps = settings.get("steps") if isinstance(settings, dict) else None
+    steps = reader.given.get("steps")
     kind = RunConfig if reader.fits_model else SacRecordingConfig
     planned = kind.model_construct(steps=steps).total_steps if isinstance(steps, int) else 0
     reached, total = max(status.env_step, int(last.get("env_step", 0))), status.total or planned

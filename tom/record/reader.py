@@ -106,6 +106,12 @@ class RunReader:
         return content | {"config": completed(settings)} if isinstance(settings, dict) else content
 
     @property
+    def given(self) -> dict[str, Any]:
+        """The settings in `config.json`; empty if it has none."""
+        settings = self.config.get("config")
+        return settings if isinstance(settings, dict) else {}
+
+    @property
     def is_run(self) -> bool:
         """Whether `config.json` exists and is that of a run."""
         kinds = {"schema": int, "env": str, "learner": str}
@@ -140,13 +146,12 @@ class RunReader:
     @property
     def own_loop(self) -> bool:
         """Whether it is of a training loop of the user's own, which nothing here can resume."""
-        settings = self.config.get("config")
-        return isinstance(settings, dict) and "own" in settings
+        return "own" in self.given
 
     @property
     def of(self) -> str:
         """The run whose buffer it weighs live (`tom.weigh_live`); empty if it is no such run."""
-        return str(self.config["config"].get("of", "")) if self.own_loop else ""
+        return str(self.given.get("of", "")) if self.own_loop else ""
 
     @property
     def seed(self) -> int:

@@ -116,8 +116,7 @@ class Recorder:
         step = self._heartbeat.status.env_step
         config = self._config.model_dump(mode="json")
         try:
-            content = {**state, "record": self.mark(), "config": config}
-            checkpoint.save(folder, step, content, self._writer.check)
+            checkpoint.save(folder, step, {**state, "record": self.mark(), "config": config})
         except LostError:
             raise
         except OSError as error:

@@ -8,46 +8,21 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Union
 
 from tom.errors import UserError
 from tom.machine import processes
 
+if TYPE_CHECKING:
+    from tom.sweep.ray_engine import RayEngine, RayProcess
+
+Engine = Union["LocalEngine", "RayEngine"]
+Process = Union[processes.Process, "RayProcess"]
+"""of one training, on any machine; its exit code is below zero where it was killed"""
+
 ANSWER_S = 5.0  # a cluster's head answers within this
 POLL_S = 0.1
 GRACE_S = 20.0  # a training stops within this time after a request
-
-
-class Process(Protocol):
-    """The process of one training, on any machine; one of this machine is a `Popen`."""
-
-    def poll(self) -> int | None:
-        """Its exit code, below zero if it was killed or its machine died; None while it runs."""
-        ...
-
-    def terminate(self) -> None:
-        """Ask it to stop with a checkpoint, unless it has ended."""
-        ...
-
-    def kill(self) -> None:
-        """End it at once, unless it has ended."""
-        ...
-
-
-class Engine(AbstractContextManager["Engine", None], Protocol):
-    """Starts processes, `slots` at a time."""
-
-    @property
-    def slots(self) -> int:
-        """How many may run at a time. Raises GoneError."""
-        ...
-
-    def start(self, arguments: Sequence[str], log: Path) -> Process:
-        """Start `python -m` followed by `arguments`, with its output appended to `log`.
-
-        Raises OSError if it cannot be started.
-        """
-        ...
 
 
 class LocalEngine(AbstractContextManager["LocalEngine", None]):
@@ -55,13 +30,18 @@ class LocalEngine(AbstractContextManager["LocalEngine", None]):
 
     def __init__(self, slots: int) -> None:
         self.slots = slots
+        """how many may run at a time; on a cluster that may raise GoneError"""
 
     def start(self, arguments: Sequence[str], log: Path) -> processes.Process:
+        """Start `python -m` followed by `arguments`, with its output appended to `log`.
+
+        Raises OSError if it cannot be started.
+        """
         with log.open("ab") as out:
             return processes.start_module(arguments, out)
 
     def __exit__(self, *_: object) -> None:
-        """There is nothing to close: the driver ends the processes that it started."""
+        """The driver ends the processes that it started."""
 
 
 def open_engine(name: str, address: str | None, jobs: int | None) -> Engine:

@@ -69,9 +69,7 @@ def _per_step(run: RunReader) -> tuple[float, float] | None:
     if "time/wall_s" not in table or not run.status.env_step:
         return None
     known = table[["env_step", "time/wall_s"]].dropna().to_numpy()
-    settings = run.config.get("config")
-    explored = settings.get("exploration_steps", 0) if isinstance(settings, dict) else 0
-    trained = known[known[:, 0] >= explored]
+    trained = known[known[:, 0] >= run.given.get("exploration_steps", 0)]
     if len(trained) < 2 or trained[-1, 0] <= trained[0, 0]:
         return None
     steps, seconds = trained[-1] - trained[0]

@@ -151,8 +151,8 @@ def steps_beyond(config: RunConfig, run: RunReader) -> int | None:
 
     The halves of a recording of SAC depend on its steps.
     """
-    given, planned = run.config.get("config"), completed(config.model_dump(mode="json"))
-    if not isinstance(given, dict) or "steps" not in given:
+    given, planned = run.given, completed(config.model_dump(mode="json"))
+    if "steps" not in given:
         return None  # damaged
     same = {**given, "steps": planned["steps"]} == planned if run.fits_model else given == planned
     return given["steps"] - planned["steps"] if same else None

@@ -158,10 +158,7 @@ def _changed_versions(reader: RunReader, accepted: bool) -> str:
     Raises UserError if its results would change, unless `accepted`.
     """
     now = versions()
-    resumes = reader.config.get("resumes")
-    entries = [reader.config, *(resumes if isinstance(resumes, list) else [])]
-    recorded = [entry.get("versions") for entry in entries if isinstance(entry, dict)]
-    before = next((each for each in reversed(recorded) if isinstance(each, dict)), {})
+    before = [reader.config, *reader.config.get("resumes", ())][-1].get("versions", {})
     changed = {
         name: f"{name} {before[name]} then, {now[name]} now"
         for name in now

@@ -1,11 +1,6 @@
 """`tom` in tasks of the user's own: trained, gone on with and weighed; bad input leaves nothing."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -180,26 +175,6 @@ def test_a_run_goes_on_with_its_own_learner_task_and_preset_alone(home: Path):
     assert (home / "runs/begun/status.json").read_bytes() == status
     words = f"train --resume begun --steps 220 --store runs --no-rerun {own}"
     assert tom(f"{words} --learner tom --preset smoke", home)[0] == 0
-
-
-@pytest.mark.slow
-def test_a_sweep_in_a_task_of_ones_own_goes_on_where_it_was_stopped(home: Path):
-    words = f"sweep --env own_tasks:Own-v0 --learner mle --preset smoke --steps 900 {RULE}"
-    words += " --store runs --checkpoint-every 100 --plugin own_plugin.py"
-    (home / "own_plugin.py").write_text("def register(registry): pass")
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "tom", *words.split()]
-    with subprocess.Popen(command, cwd=home, env=environment) as driver:
-        while driver.poll() is None and not list(home.glob("runs/*/checkpoint/*/manifest.json")):
-            time.sleep(0.1)
-        driver.send_signal(signal.SIGINT)
-    code, said = tom(words, home)
-    assert (code, "1 of 1 runs finished" in said) == (0, True), said
-    (log,) = (home / "runs/.sweep").glob("*.log")
-    began, went_on = [line for line in log.read_text().splitlines() if line.startswith("$ ")]
-    assert "--run-id=" in began
-    assert "--resume=" in went_on
-    assert not (home / "runs/.trash").exists()
 
 
 @pytest.mark.parametrize(

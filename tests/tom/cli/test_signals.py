@@ -9,8 +9,6 @@ import pytest
 from commands import code_of
 
 from tom.machine.processes import STOPPING, on_stopping
-from tom.record import Store
-from tom.training.run import Stop
 
 HUP, TERM, INT = signal.SIGHUP, signal.SIGTERM, signal.SIGINT
 SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", "--steps", "20")
@@ -70,13 +68,6 @@ script()
     assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "tom: stopped\n")
 
 
-def test_a_second_ctrl_c_ends_at_once():
-    with on_stopping(Stop()):
-        signal.raise_signal(INT)
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(INT)
-
-
 @pytest.mark.parametrize(
     "words",
     [
@@ -89,16 +80,3 @@ def test_handlers_are_put_back_after_a_command(words: tuple[str, ...], tmp_path:
     before = [signal.getsignal(number) for number in STOPPING]
     code_of([*words, "--store", str(tmp_path / "store")])
     assert [signal.getsignal(number) for number in STOPPING] == before
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
-def test_a_closed_stream_does_not_change_how_a_training_ends(tmp_path: Path, closed: str):
-    words = [sys.executable, "-m", "tom", "train", *SMOKE, "--no-rerun", "--store", str(tmp_path)]
-    shell = subprocess.run(
-        ["sh", "-c", f'"$@" {closed}', "sh", *words], capture_output=True, text=True, check=False
-    )
-    assert shell.returncode == 0
-    assert "Traceback" not in shell.stderr
-    (run,) = Store(tmp_path).runs()
-    assert run.status.state == "finished"

@@ -1,6 +1,5 @@
 """Resumed and uninterrupted training are the same to the last bit."""
 
-import json
 import shutil
 from collections.abc import Iterator
 from errno import ENOSPC
@@ -14,7 +13,6 @@ from common import online, reloaded, stopping_at
 from same_records import assert_same_record
 
 from tom.analysis.weighing import load_policy
-from tom.cli import main
 from tom.config import OnlineConfig, SacRecordingConfig
 from tom.data.transitions import Transitions
 from tom.envs import task
@@ -22,7 +20,6 @@ from tom.errors import UserError
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Tick, TrainedPolicy, Weights
 from tom.learners import LEARNER_NAMES
 from tom.mbpo import Mbpo
-from tom.offline import Offline
 from tom.policy.stored import StoredPolicy
 from tom.record import Store, checkpoint
 from tom.record.writer import RunWriter
@@ -205,17 +202,6 @@ def test_a_recording_of_sac_goes_on_in_either_half(stop: int):
     check(config, stop)
 
 
-@pytest.mark.parametrize("learner", ["tom", pytest.param("vagram", marks=pytest.mark.slow)])
-def test_road_and_rocks_that_finished_early_is_the_longer_run_when_it_goes_on(learner: str):
-    """Its last look, out of turn, has left no trace in what came after."""
-    longer = Offline(road(learner, 250))  # pyright: ignore[reportArgumentType]
-    before = until(longer.events(), 130)
-    early = Offline(road(learner, 130))  # pyright: ignore[reportArgumentType]
-    extra = list(early.events())
-    assert len(extra) > len(before)
-    assert_same_state(longer.state_dict(), early.state_dict())
-
-
 def test_hopper_that_finished_early_is_the_longer_run_when_it_goes_on():
     longer, early = (Mbpo(smoke("hopper", "tom").but(steps=steps)) for steps in (STEPS, STOP))
     until(longer.events(), STOP)
@@ -280,28 +266,3 @@ def test_a_finished_run_without_its_last_checkpoint_is_none_that_goes_on(tmp_pat
     shutil.rmtree(run.path / checkpoint.FOLDER / "000000200")
     assert unfinished(store, short()) is None
     assert unfinished(store, short().but(steps=300)) == "a"
-
-
-def test_a_command_that_names_its_run_goes_on_with_no_other(tmp_path: Path, capsys):
-    words = ["--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", "--no-rerun"]
-    words = ["train", *words, "--store", str(tmp_path), "--resume", "auto", "--json"]
-    assert main([*words, "--steps", "220", "--run-id", "x"]) == 0
-    before = (tmp_path / "x" / "config.json").read_bytes()
-    capsys.readouterr()
-    assert main([*words, "--steps", "220", "--run-id", "x"]) == 0  # again: it is done
-    again = json.loads(capsys.readouterr().out)
-    assert (again["run_id"], again["state"]) == ("x", "finished")
-    assert main([*words, "--steps", "240", "--run-id", "y"]) == 0
-    assert (tmp_path / "x" / "config.json").read_bytes() == before
-    ended = {run.run_id: run.status.env_step for run in Store(tmp_path).runs()}
-    assert ended == {"x": 220, "y": 240}
-    assert main([*words, "--steps", "240", "--run-id", "x"]) == 0
-    assert Store(tmp_path).run("x").status.env_step == 240
-
-
-def test_a_run_that_goes_on_keeps_its_warnings(tmp_path: Path):
-    store, (stop, watchers) = Store(tmp_path), stopping_at(150)
-    few = short().but(sac={"batch_size": 150})  # the buffer begins with fewer rows
-    stopped = train(few, store, "a", rerun=False, watchers=watchers, stop=stop).status
-    assert any("minibatch of" in text for text in stopped.warnings)
-    assert resume(store, "a", rerun=False).status.warnings == stopped.warnings

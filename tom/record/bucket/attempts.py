@@ -28,8 +28,7 @@ CLAIM = "claimed"  # an attempt's first object; removed when its process was see
 TRIES = 3  # an object may be replaced by others while a run is fetched
 
 FETCHED, SAME, AHEAD, BUSY = "fetched", "is up to date", "is further here", "is being written here"
-FETCHED_ANEW = "fetched; another run of that name that was here is in the trash"
-FETCHED_UNKNOWN = "fetched; what was here, whose status cannot be read, is in the trash"
+FETCHED_ANEW = "fetched; what was here, perhaps another run, is in the trash"
 
 
 def run_ids(bucket: Bucket) -> list[str]:
@@ -114,10 +113,9 @@ def _replace(store: Store, held: RunReader, fetched: RunReader) -> str:
     """
     if lock.held(held.path):
         return BUSY
-    status = held.status
-    if status == fetched.status:
+    if held.status == fetched.status:
         return SAME
-    if status.state == "finished" or _reached(held) > _reached(fetched):
+    if held.status.state == "finished" or _reached(held) > _reached(fetched):
         return AHEAD
     same_run = held.config.get("created") == fetched.config.get("created")
     with manage.unwritten(held):
@@ -125,10 +123,8 @@ def _replace(store: Store, held: RunReader, fetched: RunReader) -> str:
             shutil.copy2(held.path / layout.LABELS, fetched.path / layout.LABELS)
         older = manage.into_trash(store, held.path)  # where it is found if this process is killed
         fetched.path.rename(held.path)
-    if not same_run:
+    if not same_run or held.status.state == "unknown":
         return FETCHED_ANEW
-    if status.state == "unknown":
-        return FETCHED_UNKNOWN
     shutil.rmtree(older)
     with suppress(OSError):  # there are other runs in the trash
         older.parent.rmdir()

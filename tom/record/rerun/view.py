@@ -61,7 +61,9 @@ class RerunView:
         """
         self._run = run
         self._env = run.env
-        self._every = every or _evaluated_every(run)
+        evaluation = run.given.get("evaluation") or {}
+        self._every = every or evaluation.get("every") or EvaluationConfig().every
+        """env steps between two evaluations"""
         self._replay_s = 0.0
         self._floor_drawn = False
         self._places = 0
@@ -216,14 +218,6 @@ class RerunView:
             rr.TimeColumn("env_step", sequence=steps),
             rr.TimeColumn("replay", duration=self._replay_s + frames * dt),
         )
-
-
-def _evaluated_every(run: RunReader) -> int:
-    """Env steps between two evaluations."""
-    settings = run.config.get("config")
-    evaluation = settings.get("evaluation") if isinstance(settings, dict) else None
-    every = evaluation.get("every") if isinstance(evaluation, dict) else None
-    return max(every, 1) if isinstance(every, int) else EvaluationConfig().every
 
 
 def _table(values: Mapping[str, float]) -> str:

@@ -16,7 +16,6 @@ from tom.record.bucket.attempts import (
     AHEAD,
     FETCHED,
     FETCHED_ANEW,
-    FETCHED_UNKNOWN,
     Attempt,
     fetch_run,
 )
@@ -72,7 +71,7 @@ def test_another_run_of_that_name_is_kept_in_the_trash(here: Store, store: Store
 
 
 @pytest.mark.parametrize("status", ["", "{", None])
-@pytest.mark.parametrize(("trained_to", "done"), [(400, AHEAD), (100, FETCHED_UNKNOWN)])
+@pytest.mark.parametrize(("trained_to", "done"), [(400, AHEAD), (100, FETCHED_ANEW)])
 def test_a_run_whose_status_cannot_be_read_is_never_deleted(
     trained_to: int, done: str, status: str | None, here: Store, store: Store, bucket_url: str
 ):
