@@ -34,6 +34,7 @@ from app.scenes.control import START_S
 from app.theme import BACKGROUND
 from tom.errors import UserError
 from tom.machine.processes import end_with_parent
+from tom.record.reader import RunReader
 from tom.record.rerun import viewer
 from tom.record.store import Store
 
@@ -58,7 +59,7 @@ def routes(links: Links) -> list[BaseRoute]:
             content = await run_in_threadpool(episode, links.store, run_id, *parts)
             if content is not None:
                 return Response(content, media_type=RECORDING, headers=FRESH)
-        elif name == LIVE and is_run(links.store, run_id):
+        elif name == LIVE and found(links.store, run_id):
             pieces = growing(links.store, run_id)
             return StreamingResponse(pieces, media_type=RECORDING, headers=FRESH | PLAIN)
         elif path := recording_path(links.store, run_id, name):
@@ -160,30 +161,24 @@ async def growing(store: str, run_id: str) -> AsyncIterator[bytes]:
             feed.kill()
 
 
-def is_run(store: str, run_id: str) -> bool:
-    """Whether there is such a run."""
-    try:
-        return bool(Store(store).run(run_id))
-    except UserError:
-        return False
+def found(store: str, run_id: str) -> RunReader | None:
+    """The run of that id; None if there is none."""
+    with suppress(UserError):
+        return Store(store).run(run_id)
+    return None
 
 
 def episode(store: str, run_id: str, step: int, index: int, horizon: int) -> bytes | None:
     """A recording of one evaluation episode and its ghost; None if there is no such episode."""
-    try:
-        from app.data import replays  # here: it imports torch, the simulator and Rerun
+    from app.data import replays  # here: it imports torch, the simulator and Rerun
 
-        run = Store(store).run(run_id)
-        return replays.recording(run, step, index, horizon)
-    except UserError:
-        return None
+    with suppress(UserError):
+        return replays.recording(Store(store).run(run_id), step, index, horizon)
+    return None
 
 
 def recording_path(store: str, run_id: str, name: str) -> Path | None:
     """The file of a run's recording; None if there is no such recording."""
-    try:
-        files = Store(store).run(run_id).rrd_files()
-    except UserError:
-        return None
-    found = next((path for path in files if path.name == name), None)
-    return found if found and found.is_file() and not found.is_symlink() else None
+    run = found(store, run_id)
+    files = [path for path in (run.rrd_files() if run else ()) if path.name == name]
+    return next((path for path in files if path.is_file() and not path.is_symlink()), None)

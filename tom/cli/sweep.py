@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import shlex
 import shutil
 import signal
 import sys
@@ -28,6 +29,7 @@ from tom.harmless import terminal
 from tom.learners import LEARNERS
 from tom.machine.processes import on_stopping
 from tom.record import RunReader, Store, checkpoint
+from tom.record.thin import without_options
 from tom.sweep.backend import open_backend
 from tom.sweep.driver import ATTEMPTS, Driver, Job
 from tom.sweep.engine import open_engine
@@ -99,7 +101,8 @@ def run(args: argparse.Namespace) -> int:
         if args.dry_run:
             return _dry_run(args, backend.store, planned, jobs)
         if args.engine == "slurm":
-            print(script(planned, args.store, _own_arguments(), _longest(backend.store, planned)))
+            words = without_options(shlex.join(sys.argv[1:]), ["--engine"])
+            print(script(planned, args.store, words, _longest(backend.store, planned)))
             return 0
         with open_engine(args.engine, args.address, args.jobs) as engine:
             backend.store.ensure_writable()
@@ -142,15 +145,6 @@ def _refuse_mismatch(args: argparse.Namespace, planned: Sequence[Trial]) -> None
         raise UserError(f"--engine slurm needs a folder: --store {args.store} is none")
     if args.engine == "slurm" and args.only is not None:
         raise UserError("--only is given to each task of the array: leave it out")
-
-
-def _own_arguments() -> list[str]:
-    """The arguments of this command, which each task of a Slurm array repeats."""
-    words = [word for word in sys.argv[1:] if word not in ("--engine=slurm", "--dry-run")]
-    while "--engine" in words:
-        at = words.index("--engine")
-        del words[at : at + 2]
-    return words
 
 
 # A sweep that runs

@@ -121,24 +121,19 @@ def _of_this_machine(path: Path) -> MatmulReport:
 
     If another process was first to store one, its result counts.
     """
-    stored = _read(path)
+    there, stored = path.exists(), _read(path)
     if stored is not None:
         return stored
     report = probe()
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
+        if there:
+            path.unlink(missing_ok=True)  # it is damaged
         with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp") as file:
             json.dump(report.record(), file)
             file.flush()
-            try:
-                os.link(file.name, path)
-            except FileExistsError:
-                first = _read(path)
-                if first is not None:
-                    return first
-                path.unlink(missing_ok=True)  # it is damaged
-                os.link(file.name, path)
-    return report
+            os.link(file.name, path)
+    return _read(path) or report
 
 
 def _read(path: Path) -> MatmulReport | None:

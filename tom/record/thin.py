@@ -126,9 +126,11 @@ def _lost(run: RunReader, copy: RunReader) -> list[str]:
 
 def _description(reader: RunReader, left_out: Collection[str]) -> dict[str, Any]:
     """The run's `config.json` without the folders of its machine: a copy is made to share."""
-    config = _without_places(reader.config)
-    if config.get("resumes"):
-        config["resumes"] = [_without_places(resume) for resume in config["resumes"]]
+    config = {**reader.config}
+    config |= {"resumes": [{**one} for one in config["resumes"]]} if "resumes" in config else {}
+    for made in (config, *config.get("resumes", ())):
+        if "command" in made:
+            made["command"] = shlex.join(without_options(str(made["command"]), PLACES))
     note = {
         "rows_of_metrics": ROWS,
         "profiles": FITS,
@@ -138,13 +140,6 @@ def _description(reader: RunReader, left_out: Collection[str]) -> dict[str, Any]
         "left_out": list(left_out),
     }
     return {**config, THINNED: note}
-
-
-def _without_places(made: Mapping[str, Any]) -> dict[str, Any]:
-    """A record of how a run was made, whose `command` lacks the options of PLACES."""
-    if "command" not in made:
-        return {**made}
-    return {**made, "command": shlex.join(without_options(str(made["command"]), PLACES))}
 
 
 def without_options(

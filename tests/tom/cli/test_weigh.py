@@ -152,14 +152,6 @@ def test_a_weighing_lies_in_the_store_and_goes_with_a_small_copy(
     assert weigh(tmp_path, "sac", "--policy", "sac", "--seeds", "0", "--learner", "mle") == 0
 
 
-def test_same_seed_same_bits(store: Path, tmp_path: Path):
-    for name in ("a", "b"):
-        arguments = ("--learner", "tom", "--seeds", "0", "--out", str(tmp_path / name))
-        assert weigh(store, "sac", "--policy", str(store / "sac" / "policy.npz"), *arguments) == 0
-    a, b = (pq.read_table(tmp_path / name / "weights.parquet") for name in ("a", "b"))
-    assert a.equals(b)
-
-
 @pytest.mark.parametrize(
     ("learner", "capacity"),
     [("pmac", 210), ("vagram", 1000), ("policy-distance", 210), ("pdml", 1000)],
