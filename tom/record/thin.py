@@ -65,10 +65,11 @@ def thin(
         rows = {layout.METRICS: _chosen_rows(reader), layout.PROFILES: _chosen_profiles(reader)}
         for name, chosen in rows.items():
             (to / name).write_bytes(b"".join(map(json_line, chosen)))
-        lacks = ["buffer"] if _leave_out(reader, to, "buffer", keep, without) else []
+        _optional(reader, to, "buffer", keep, without)
+        terms = not _lacks(reader, to, "buffer")  # they explain a row's weight
         snapshots = [] if "snapshots" in without else _spread(reader.snapshot_steps(), SNAPSHOTS)
-        for step in snapshots:  # without rows no page has the one whose weight the terms explain
-            _snapshot(reader, step, to, terms=not lacks)
+        for step in snapshots:
+            _snapshot(reader, step, to, terms=terms)
         evaluations = [] if "evaluations" in without else reader.evaluation_steps()
         for step in _spread(evaluations, EVALUATIONS):
             _arrays(reader, to, layout.episodes(step), coarse, _of_first_episode)
@@ -76,10 +77,10 @@ def thin(
             recorded = reader.field_steps(name)
             for step in {at_or_before(recorded, step) for step in snapshots} | {recorded[0]}:
                 _arrays(reader, to, layout.field(name, step), coarse)
-        others = [part for part in OPTIONAL if part != "buffer"]
-        lacks += [part for part in others if _leave_out(reader, to, part, keep, without)]
+        for part in ("model", "policy", "policies"):
+            _optional(reader, to, part, keep, without)
         copy = RunReader(to)
-        lacks += _lost(reader, copy)
+        lacks = [*(part for part in OPTIONAL if _lacks(reader, to, part)), *_lost(reader, copy)]
         before = [part for part in reader.left_out if part.removeprefix("other ") not in lacks]
         description = _description(reader, dict.fromkeys([*before, *lacks]))
         replace_json(to / layout.CONFIG, description, sync=False)
@@ -252,26 +253,24 @@ OPTIONAL: dict[str, tuple[str, Callable[[RunReader, Path], None]]] = {
 """parts that are left out if they are not small: the path and the writer of each"""
 
 
-def _leave_out(
+def _optional(
     reader: RunReader, to: Path, part: str, keep: Collection[str], without: Collection[str]
-) -> bool:
-    """Write one of OPTIONAL; returns True if the run has it, but the copy will not.
-
-    That is, if it is in `without`, or if it is not small and not in `keep`.
-    """
+) -> None:
+    """Write one of OPTIONAL, unless it is in `without`, or not small and not in `keep`."""
     name, write = OPTIONAL[part]
-    size = _bytes(reader.path / name)
-    if part in without:
-        if part == "model" and reader.fits_model and checkpoint.model_step(reader.path) is not None:
-            return True  # in a checkpoint
-        return size > 0
-    if part not in keep and size > SHRINKS * SMALL:
-        return True
+    if part in without or (part not in keep and _bytes(reader.path / name) > SHRINKS * SMALL):
+        return
     write(reader, to)
-    if part in keep or _bytes(to / name) <= SMALL:
-        return False
-    shutil.rmtree(to / name) if (to / name).is_dir() else (to / name).unlink()
-    return True
+    if part not in keep and _bytes(to / name) > SMALL:
+        shutil.rmtree(to / name) if (to / name).is_dir() else (to / name).unlink()
+
+
+def _lacks(reader: RunReader, to: Path, part: str) -> bool:
+    """Whether the run has one of OPTIONAL and the copy has nothing of it."""
+    name, fits = OPTIONAL[part][0], part == "model" and reader.fits_model
+    there = _bytes(reader.path / name) > 0
+    there |= fits and checkpoint.model_step(reader.path) is not None  # in a checkpoint
+    return there and _bytes(to / name) == 0
 
 
 def _bytes(path: Path) -> int:

@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from pyarrow import fs
 
@@ -13,7 +14,6 @@ from tom.errors import UserError, reason
 CONNECT_S, ANSWER_S, TRIES = 10.0, 30.0, 3
 ENDPOINTS = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL")
 """the environment's variables for the store's address, the first one counts"""
-ADDRESS = re.compile(r"(?P<scheme>https?)://(?P<host>[^/?#]+).*", re.I)
 URL = re.compile(r"s3://(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])(?:/(?P<prefix>[^?#]*))?")
 
 
@@ -114,9 +114,7 @@ def _endpoint() -> dict[str, str]:
     variable = next(filter(os.environ.get, ENDPOINTS), None)
     if variable is None:
         return {}
-    match = ADDRESS.fullmatch(os.environ[variable])
-    if match is None:
-        raise UserError(
-            f"{variable}={os.environ[variable]}: must be an address such as http://localhost:9000"
-        )
-    return {"endpoint_override": match["host"], "scheme": match["scheme"].lower()}
+    address = urlsplit(os.environ[variable])
+    if address.scheme not in ("http", "https") or not address.netloc:
+        raise UserError(f"{variable}: must be an address such as http://localhost:9000")
+    return {"endpoint_override": address.netloc, "scheme": address.scheme}
