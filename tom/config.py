@@ -378,8 +378,6 @@ class OwnLoopConfig(RunConfig):
     preset: str = ""
     own: dict[str, Any] = {}
     """what the user gave as configuration"""
-    of: str = ""
-    """of live weights: the run whose buffer is weighed"""
     every: Count = 5000
     """of live weights: env steps between two fits"""
 

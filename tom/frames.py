@@ -72,6 +72,11 @@ class Run:
         own = self.reader.own_loop and len(rows)
         return transition_table(in_own_units(self.reader, rows) if own else rows)
 
+    @cached_property
+    def live(self) -> dict[str, "Run"]:
+        """This run with the live weights of its buffer (`tom.weigh_live`), by learner."""
+        return {learner: Run(live) for learner, live in self.reader.live().items()}
+
     def weights(self, step: int | None = None) -> pd.DataFrame:
         """All weights of the fit at `step` (default: the last stored one), one row per transition.
 
@@ -122,7 +127,7 @@ class Run:
     def _weighed(self, end: int, count: int, recorded: int) -> dict[str, NDArray]:
         """The weights that weighings of the same rows made, the newest by name."""
         found: dict[str, NDArray] = {}
-        for path in weighing_files.of_run(self.reader.path.parent, self.name):
+        for path in weighing_files.of_run(self.reader.home.parent, self.name):
             made = read_weighing(path)
             same = made.report["rows"] == count and (made.report.get("step") or recorded) == end
             if same and not weighing_files.is_brush(made.report):

@@ -192,7 +192,7 @@ def model_errors_of(run: RunReader, index: NDArray[np.int64]) -> Floats:
 
 def stored_policy(run: RunReader, step: int | None = None) -> StoredPolicy | None:
     """The policy of a run's fit, or that it ended with; None if there is none that can be read."""
-    known, store = described_task(run), Store(run.path.parent)
+    known, store = described_task(run), Store(run.home.parent)
     try:
         found = None if known is None else load_policy(str(run.path), store, known, step)
     except UserError:

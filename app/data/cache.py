@@ -14,7 +14,7 @@ import pandas as pd
 from cachetools import LRUCache
 
 from tom.machine.memory import STUDIO_CACHE_BYTES
-from tom.record.reader import Part, RunReader
+from tom.record.reader import OF_LOOP, Part, RunReader
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -68,7 +68,8 @@ def cached(*parts: Part) -> Callable[[Read[P, T]], Read[P, T]]:
             assert not kwargs, "a key has no names"
             step = args[0] if args and isinstance(args[0], int) else 0
             version = tuple(run.version(part, step) for part in parts)
-            return cache.get((run.path, *args), lambda: read(run, *args, **kwargs), version)
+            place = run.home if {*parts} <= {*OF_LOOP} else run.path
+            return cache.get((place, *args), lambda: read(run, *args, **kwargs), version)
 
         return get
 

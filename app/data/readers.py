@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from app.data import trainings
 from app.data.cache import VersionedCache, cached
 from tom.errors import UserError
+from tom.learners import SUBJECT
 from tom.record import manage
 from tom.record.decode import Profiles
 from tom.record.reader import RunReader
@@ -83,6 +84,11 @@ def trashed(store: Path | str) -> list[str]:
         return []
 
 
+def loop(run: RunReader) -> RunReader:
+    """The run itself: of live weights that of the loop, whose returns and policies these are."""
+    return RunReader(run.home)
+
+
 def reader(run: RunReader) -> RunReader:
     """Another reader of the run's folder, with problems of its own."""
     return RunReader(run.path)
@@ -101,9 +107,16 @@ def _part(run: RunReader, part: Literal["metrics", "profiles", "notices"]) -> tu
     return _PARTS.get((run.path, part), read, run.version(part))
 
 
-def evaluated(run: RunReader) -> RunReader:
-    """The run whose policies a run's returns are: of live weights, that of the loop."""
-    return RunReader(run.path.with_name(run.of)) if run.of else run
+def weighers(run: RunReader) -> dict[str, RunReader]:
+    """The run seen with its own weights, if it has any, and with live ones, by learner."""
+    own = {run.learner: run} if has_profiles(run) else {}
+    live = run.live().items() if run.own_loop else ()
+    return own | dict(sorted(live, key=lambda one: one[0] != SUBJECT))
+
+
+def weighed(run: RunReader) -> RunReader:
+    """The run seen with the first of its weights."""
+    return next(iter(weighers(run).values()), run)
 
 
 def metrics(run: RunReader) -> pd.DataFrame:

@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app import text
+from app.data import readers
 from app.data.cache import VersionedCache
+from app.data.exams import at_fit
+from tom.analysis.progression import medians, progression
 from tom.data.card import sentence
 from tom.data.sampling import bin_means
 from tom.data.unpack import DAMAGE, read_arrays
@@ -254,6 +257,50 @@ def of_run(run: RunReader, rows: int) -> list[Weighing]:
     return [weighing for weighing in _of_run(run, rows) if not weighing.brush]
 
 
+def every(run: RunReader, rows: int) -> list[Weighing]:
+    """Those of `of_run`; in front of them the live weights of a loop's buffer, if it has any."""
+    live = live_weights(run) if run.own_loop else None
+    return [*([live] if live else ()), *of_run(run, rows)]
+
+
+@dataclass(frozen=True)
+class LiveWeights(Weighing):
+    """Live weights of a loop's buffer by its learners, at one fit, as `tom weigh` would give."""
+
+    columns: Mapping[str, NDArray]
+
+    def table(self) -> dict[str, NDArray]:
+        return dict(self.columns)
+
+
+def live_weights(run: RunReader) -> LiveWeights | None:
+    """Those of the last fit that all learners keep: of one with exams, if there is any."""
+    found = run.live()
+    kept = [set(live.snapshot_steps()) for live in found.values()]
+    exams = {
+        step: {name: at_fit(readers.metrics(live), step) for name, live in found.items()}
+        for step in (set.intersection(*kept) if kept else ())
+    }
+    if not exams:
+        return None
+    step = max(exams, key=lambda step: (all(exams[step].values()), step))
+    weights = {
+        name: live.snapshot(step)["weight"].to_numpy(copy=True) for name, live in found.items()
+    }
+    results = [
+        {"learner": name, "seed": run.seed}
+        | {part: of.get(f"exam/{part}") for part in ("footprint", "footprint_se")}
+        for name, of in exams[step].items()
+    ]
+    report = {
+        "data": run.run_id, "policy": run.run_id, "step": step, "results": results,
+        "rows": max(map(len, weights.values())), "preset": "of tom train",
+        "medians": {name: medians([progression(of, 0)]) for name, of in weights.items()},
+    }  # fmt: skip
+    columns = {f"{name}-s{run.seed}": of for name, of in weights.items()}
+    return LiveWeights(run.path / "live", report, columns)
+
+
 def brushes(run: RunReader, rows: int) -> list[Weighing]:
     """The results of `tom brush`, like `of_run`."""
     return [weighing for weighing in _of_run(run, rows) if weighing.brush]
@@ -261,7 +308,7 @@ def brushes(run: RunReader, rows: int) -> list[Weighing]:
 
 def _of_run(run: RunReader, rows: int) -> list[Weighing]:
     of_data = isinstance(run, Dataset)
-    store = run.path.parents[1 if of_data else 0]
+    store = run.path.parents[1] if of_data else run.home.parent
     found = [
         Weighing(path, report)
         for path, report in reports(store)

@@ -98,7 +98,7 @@ def _of_weighing(run: RunReader, source: Source, terms: Terms) -> Why:
     assert made is not None
     tom = TomConfig.model_validate(made.report["config"]["tom"])
     known = task(run.env)
-    policy = load_policy(made.policy, Store(run.path.parent), known, made.step)
+    policy = load_policy(made.policy, Store(run.home.parent), known, made.step)
     seed, count = int(source.column.rpartition("-s")[2]), int(made.report["footprint"])
     anew = made_anew(known, policy, count, seed).transitions.torch()
     return Why(terms, tom, f"the weighing {made.name}", anew, torch.arange(0), made.step)
@@ -197,7 +197,7 @@ def _rollouts(run: RunReader, rows: Rows, row: int, step: int) -> Rollouts | str
         policy_step = step if run.has_policy(step) else None
         if not run.has_policy(policy_step):
             return "the policy of this fit was not kept, and the run has no last one"
-        policy = load_policy(str(run.path), Store(run.path.parent), known, policy_step)
+        policy = load_policy(str(run.path), Store(run.home.parent), known, policy_step)
     except UserError as error:
         return str(error)
     if not isinstance(kept.predictor, NeuralDynamics):

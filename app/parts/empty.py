@@ -81,14 +81,11 @@ CALLS = {
 
 def of_own_loop(scope: Scope, shown: RunReader | None, part: str) -> None:
     """Say what the chosen run of a loop of one's own lacks here, and which call would give it."""
-    loops = [run for run in scope.runs if run.own_loop and not run.of]
-    asked = [run for run in scope.runs if run.run_id == scope.asked and run.own_loop]
+    loops = [run for run in scope.runs if run.own_loop]
+    asked = [run for run in loops if run.run_id == scope.asked]
     for run in asked or ([] if shown else loops[:1]):
-        if shown is not None and shown.of == run.run_id:
-            st.caption(f"Live weights of {text.markdown(run.run_id)}, whose own are not recorded.")
-        elif shown is None or shown.run_id != run.run_id:
-            how = f"they are in {run.of}'s record" if run.of else CALLS[part]
-            st.caption(f"{text.markdown(run.run_id)} has no {part} of its own: {how}.")
+        if shown is None or shown.run_id != run.run_id:
+            st.caption(f"{text.markdown(run.run_id)} has no {part}: {CALLS[part]}.")
 
 
 def left_out_of_all(runs: Sequence[RunReader], part: str) -> bool:

@@ -110,11 +110,9 @@ class Scope:
         self, suits: Callable[[RunReader], bool], usual: Callable[[RunReader], object]
     ) -> RunReader | None:
         """The chosen run, if it suits; else, of the shown runs that suit, that with the least
-        `usual`; else of all; None if none does. Live weights of the chosen run's buffer stand for
-        it."""
+        `usual`; else of all; None if none does."""
         chosen = [run for run in self.runs if run.run_id == self.asked]
-        live = [run for run in self.runs if self.asked and run.of == self.asked]
-        for runs in (chosen, live, self.shown, self.runs):
+        for runs in (chosen, self.shown, self.runs):
             suited = [run for run in runs if suits(run)]
             if suited:
                 return min(suited, key=usual)  # type: ignore[arg-type]

@@ -35,7 +35,7 @@ def differs(run: RunReader) -> bool:
     """Whether the weights of the run's last fit are not uniform."""
     if run.learner in LEARNERS and LEARNERS[run.learner].uniform:
         return False  # known without reading
-    profiles = readers.profiles(run)
+    profiles = readers.profiles(readers.weighed(run))
     return len(profiles.ess) > 0 and bool(profiles.ess[-1] < 0.99)
 
 

@@ -13,7 +13,7 @@ import pandas as pd
 from tom.config import OwnLoopConfig
 from tom.errors import UserError, reason
 from tom.events import Metrics, Tick
-from tom.own_loop.run import known_task, opened
+from tom.own_loop.opening import known_task, opened
 from tom.record import Store
 
 RETURNS = (
@@ -68,8 +68,7 @@ def import_metrics(
         last = max(step for values in series.values() for step in values)
         given = {"imported": path.name}
         settings = OwnLoopConfig(env=known.name, steps=max(last, 1), own=given)
-        recorder, _, _ = opened(place, run_id, settings, resume=None)
-        with recorder:
+        with opened(place, run_id, settings)[0] as recorder:
             # Steps before that of the status have no time: theirs is not known.
             recorder.consume(Tick(last + 1, "import"))
             for step, values in _by_step(series, returned):

@@ -1,9 +1,10 @@
 """`tom.weigh_live`: learners' weights of a growing buffer, in a process of its own.
 
-    python -m tom.own_loop.live STORE RUN --learner tom pmac --every 5000
+    python -m tom.own_loop.live RUN --began-at 0 --learner tom pmac --every 5000
 
-It reads the run folder and never touches the training. Each learner's weights are a run of their
-own, `RUN-LEARNER`, with the same rows (hard links, no second copy), so that all pages show them.
+It reads the run folder and never touches the training. Each learner's weights are a run folder
+without rows, `RUN/live/LEARNER`, with a lock of its own: `RunReader.live` reads it with the rows of
+the run.
 """
 
 import argparse
@@ -17,11 +18,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from tom import plugins
 from tom.config import ModelConfig, OwnLoopConfig
 from tom.data.datasets import initial_obs
-from tom.data.transitions import TensorTransitions
+from tom.data.transitions import TensorTransitions, Transitions
 from tom.data.unpack import read_arrays
 from tom.envs import bring
 from tom.errors import OwnCodeError, TryLaterError, UserError, reason, unknown
@@ -31,10 +33,10 @@ from tom.exams.exam import Exam, Fitted, footprint_metrics
 from tom.learners import LEARNERS, make_learner, with_own_settings
 from tom.learners.base import FitContext
 from tom.machine.processes import Process, on_stopping, start
-from tom.own_loop.run import OwnRun, opened
+from tom.own_loop.opening import opened
+from tom.own_loop.run import OwnRun
 from tom.policy.stored import StoredPolicy
 from tom.record import RunReader, Store, layout, lock
-from tom.record.files import modified, temp_path
 from tom.rng import Streams
 from tom.training import presets
 
@@ -81,9 +83,9 @@ def weigh_live(
             raise unknown("learner", name, LEARNERS)
     if every < 1:
         raise UserError(f"every {every}: weigh every so many rows, at least 1")
-    log = run.store.path / layout.LOGS / f"{run.name}-live.log"
+    log = run.path / layout.LIVE / "log.txt"
     log.parent.mkdir(exist_ok=True)
-    command = [sys.executable, "-m", "tom.own_loop.live", str(run.store.path), run.name]
+    command = [sys.executable, "-m", "tom.own_loop.live", str(run.path)]
     command += ["--began-at", str(run.began_at), "--every", str(every), "--learner", *learners]
     with log.open("wb") as out:
         process = start(command, out, {**os.environ, "OMP_NUM_THREADS": "1"}, outlives=True)
@@ -95,40 +97,25 @@ def weigh_live(
 class _Live:
     """One learner's weights of the run `source`: its record, and what it keeps between fits."""
 
-    def __init__(
-        self, store: Store, source: RunReader, learner: str, every: int, began_at: int
-    ) -> None:
+    def __init__(self, source: RunReader, learner: str, every: int, began_at: int) -> None:
         usual = presets.resolve(source.env, learner)
         groups = {
             name: value
             for name, value in usual.model_dump().items()
             if name in with_own_settings(OwnLoopConfig, [learner]).model_fields
         }
-        settings: dict[str, Any] = {"seed": source.seed, "own": {}, "of": source.run_id}
-        settings |= {"preset": LIVE, "every": every, "steps": source.config["config"]["steps"]}
+        settings: dict[str, Any] = {"seed": source.seed, "preset": LIVE, "every": every}
+        settings |= {"steps": source.config["config"]["steps"]}
         self.config = with_own_settings(OwnLoopConfig, [learner]).model_validate(groups | settings)
-        self.name = f"{source.run_id}-{learner}"
-        self.recorder, self._writer, _ = _when_free(
-            lambda: opened(store, self.name, self.config, resume="auto", step=began_at)
-        )
-        self.path, self._rows = self._writer.path, 0
+        self.recorder = _when_free(
+            lambda: opened(Store(source.path / layout.LIVE), learner, self.config, "auto", began_at)
+        )[0]
         self.streams = Streams(source.seed)
         self._fitted: Fitted | None = None
         self._learner: Any = None
 
-    def adopt(self, source: RunReader) -> None:
-        """Take over the rows of the run `source`: a link for each segment that is new here."""
-        self._writer.check()
-        for first in layout.numbers(source.path / layout.BUFFER, ".npz"):
-            name = layout.segment(first)
-            if modified(self.path / name) != modified(source.path / name):
-                linked = temp_path(self.path / name)
-                linked.hardlink_to(source.path / name)
-                linked.replace(self.path / name)
-
-    def weigh(self, policy: dict[str, Any]) -> int:
-        """Record the exam of the last fit and the weights of the buffer; the number of its rows."""
-        rows, version = RunReader(self.path).buffer()
+    def weigh(self, rows: Transitions, version: NDArray, policy: dict[str, Any]) -> None:
+        """Record the exam of the last fit, and the weights of rows (N,) of these versions (N,)."""
         replay, n = rows.torch(), len(rows)
         if self._fitted is not None:
             self._examine(self._fitted, replay)
@@ -157,8 +144,6 @@ class _Live:
         events += [Notice(n, code, text) for code, text in weighting.notices]
         for event in (*events, Tick(n, "weigh")):
             self.recorder.consume(event)
-        self._rows = n
-        return n
 
     def _examine(self, fitted: Fitted, replay: TensorTransitions) -> None:
         new = len(replay) - fitted.env_step
@@ -180,15 +165,14 @@ def _when_free(make: Callable[[], T]) -> T:
             time.sleep(POLL_S)
 
 
-def follow(store: Store, name: str, learners: Sequence[str], every: int, began_at: int = 0) -> None:
-    """Weigh the buffer of the run `name` until the run ends, and once more then.
+def follow(source: RunReader, learners: Sequence[str], every: int, began_at: int) -> None:
+    """Weigh the buffer of the run `source` until the run ends, and once more then.
 
     What was recorded of a buffer beyond `began_at` rows is of a loop that was cut back, and goes.
     """
-    source = store.run(name)
     writer = source.status.pid
     with ExitStack() as stack:
-        lives = [_Live(store, source, learner, every, began_at) for learner in learners]
+        lives = [_Live(source, learner, every, began_at) for learner in learners]
         for live in lives:
             stack.enter_context(live.recorder)
         last, took = 0, 0.0
@@ -208,31 +192,24 @@ def follow(store: Store, name: str, learners: Sequence[str], every: int, began_a
                     for live in lives:
                         live.recorder.consume(Notice(rows, "behind", text))
                 begun = time.monotonic()
-                last = _weigh(lives, source, steps[-1])
+                policy = read_arrays(source.path / layout.policy(steps[-1]))
+                recorded = source.buffer()
+                last = len(recorded[0])
+                for live in lives:
+                    live.weigh(*recorded, policy)
                 took = time.monotonic() - begun
             if not running:
                 if now.state != "finished":
                     for live in lives:
-                        live.recorder.finish("stopped", f"run {name} ended unfinished")
+                        live.recorder.finish("stopped", f"run {source.run_id} ended unfinished")
                 return
             time.sleep(POLL_S)
-
-
-def _weigh(lives: Sequence[_Live], source: RunReader, step: int) -> int:
-    """Every learner's weights of the same rows, by the policy of that step."""
-    policy = read_arrays(source.path / layout.policy(step))
-    rows = 0
-    for place, live in enumerate(lives):
-        live.adopt(source if place == 0 else RunReader(lives[0].path))
-        rows = live.weigh(policy)
-    return rows
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the process; returns its exit code."""
     parser = argparse.ArgumentParser(prog="python -m tom.own_loop.live")
-    parser.add_argument("store", type=Path)
-    parser.add_argument("run")
+    parser.add_argument("run", type=Path)
     parser.add_argument("--learner", nargs="+", required=True)
     parser.add_argument("--every", type=int, required=True)
     parser.add_argument("--began-at", type=int, required=True)
@@ -242,10 +219,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     torch.set_num_threads(1)
     try:
         plugins.load([])
-        store = Store(args.store)
-        bring(store.run(args.run).env)
+        source = RunReader(args.run)
+        bring(source.env)
         with on_stopping(_interrupt):
-            follow(store, args.run, args.learner, args.every, args.began_at)
+            follow(source, args.learner, args.every, args.began_at)
     except (UserError, OwnCodeError, TryLaterError, OSError) as error:
         print(reason(error), file=sys.stderr)
         return 1

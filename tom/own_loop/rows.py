@@ -1,14 +1,16 @@
 """The rows that a loop hands in, on their way to the record: checked, and in whole episodes."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import ceil, isfinite
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tom.analysis.ordered_data import action_bounds
 from tom.data.transitions import Transitions
+from tom.envs import GymnasiumTask, Task
 from tom.errors import UserError
 
 Autoreset = Literal["next-step", "same-step"]
@@ -16,8 +18,14 @@ AUTORESET: tuple[Autoreset, ...] = ("next-step", "same-step")
 NUMBER, BOOL = (float, int, np.floating), (bool, np.bool_)
 BLOCK = 4096
 """rows that are written at once"""
+NAMES = ("obs", "action", "reward", "next_obs", "terminated", "truncated")
+KINDS = (np.float64, np.float64, np.float64, np.float64, bool, bool)
 Columns = tuple[NDArray, ...]
-"""obs (N, O), action (N, A), reward (N,), next_obs (N, O), terminated (N,), truncated (N,)"""
+"""the columns of NAMES with the same leading axes"""
+Write = Callable[[Transitions, NDArray[np.int64]], None]
+"""takes rows as agents see them, and the numbers (n,) with which they were handed in"""
+Part = tuple[Columns, NDArray[np.int64]]
+"""rows (n, ...) in the order of collection, and the numbers (n,) with which they were handed in"""
 
 
 @dataclass(frozen=True)
@@ -29,8 +37,25 @@ class Ended:
     length: int
 
 
+class Units:
+    """A task's own units, in which a loop hands in, as agents see them (`tom.envs`)."""
+
+    def __init__(self, known: Task) -> None:
+        low, high = (bound.astype(np.float64) for bound in action_bounds(known))
+        self._known, self._centre, self._half = known, (low + high) / 2, (high - low) / 2
+
+    def obs(self, obs: NDArray) -> NDArray[np.float32]:
+        """Observations (..., O)."""
+        known = self._known
+        return known.unit_obs(obs) if isinstance(known, GymnasiumTask) else obs.astype(np.float32)
+
+    def action(self, action: NDArray) -> NDArray[np.float32]:
+        """Actions (..., A), in [-1, 1]."""
+        return ((action - self._centre) / self._half).astype(np.float32)
+
+
 class Rows:
-    """Takes the steps of `envs` environments and passes on their rows, `BLOCK` at a time.
+    """Takes the steps of `envs` environments and passes on their rows, `BLOCK` or more at a time.
 
     Rows of several environments are passed on by whole episodes, since a record's neighbours are
     neighbours in time; until then they wait here. Each has the number with which it was handed in,
@@ -39,111 +64,75 @@ class Rows:
 
     def __init__(
         self,
-        obs_dim: int,
-        action_dim: int,
-        write: Callable[[Transitions, NDArray[np.int64]], None],
-        envs: int = 1,
-        autoreset: Autoreset | None = None,
-        handed: int = 0,
+        known: Task,
+        envs: int,
+        autoreset: Autoreset | None,
+        handed: int,
+        numbers: NDArray[np.int64],
+        write: Write,
     ) -> None:
-        """`write` gets rows and their numbers (n,); `handed` rows were handed in before."""
-        self.handed, self.envs, self.written = handed, envs, 0
-        self._tails = {"obs": (obs_dim,), "action": (action_dim,), "next_obs": (obs_dim,)}
-        self._shapes = (obs_dim,), (action_dim,), (obs_dim,)
-        self._autoreset, self._write = autoreset, write
-        self._plain = envs == 1 and autoreset is None
+        """`handed` rows were handed in before; those with `numbers` (N,) are in the record."""
+        self.handed, self.envs, self._autoreset, self._write = handed, envs, autoreset, write
+        self._units, self._recorded = Units(known), [numbers]
+        obs, action = (known.obs_dim,), (known.action_dim,)
+        self._shapes: dict[str, tuple[int, ...]] = {"obs": obs, "action": action, "next_obs": obs}
+        self._single = obs, action, obs
+        self._one_by_one = envs == 1 and autoreset is None
         self._ended = np.zeros(envs, bool)  # the last step of each environment
-        self._waiting: list[list[tuple[Columns, NDArray[np.int64]]]] = [[] for _ in range(envs)]
-        self._returns, self._lengths = np.zeros(envs), np.zeros(envs, np.int64)
-        shapes = ((obs_dim,), (action_dim,), (), (obs_dim,), (), ())
-        kinds = (np.float64, np.float64, np.float64, np.float64, bool, bool)
-        self._block = tuple(
-            np.empty((BLOCK, *shape), kind) for shape, kind in zip(shapes, kinds, strict=True)
-        )
-        self._numbers, self._count = np.empty(BLOCK, np.int64), 0
+        self._waiting: list[list[Part]] = [[] for _ in range(envs)]
+        self._returns, self._lengths = [0.0] * envs, [0] * envs
+        self._steps: list[tuple] = []  # single steps, as lists of numbers: the fastest to append
+        self._parts: list[Part] = []
+        self._count = 0  # of the rows in both
 
-    def add(
-        self,
-        obs: Any,
-        action: Any,
-        reward: Any,
-        next_obs: Any,
-        terminated: Any,
-        truncated: Any,
-        infos: Mapping[str, Any] | None = None,
-    ) -> list[Ended]:
-        """Take one step or many; the episodes that ended. Raises UserError, and takes none then.
+    @property
+    def recorded(self) -> NDArray[np.int64]:
+        """The number (N,) with which each row of the record was handed in."""
+        self._recorded = [np.concatenate(self._recorded)]
+        return self._recorded[0]
 
-        Leading axes: none or (T,) steps of one environment; (E,) or (T, E) of several.
+    def add(self, step: tuple[Any, ...], infos: Mapping[str, Any] | None = None) -> Sequence[Ended]:
+        """Take one step or many, NAMES; the episodes that ended.
+
+        Leading axes: none or (T,) steps of one environment; (E,) or (T, E) of several. Raises
+        UserError, and takes none then.
         """
-        if self._plain:
-            one = self._one_step(obs, action, reward, next_obs, terminated, truncated)
-            if one is not None:
-                return one
-        columns = self._checked(obs, action, reward, next_obs, terminated, truncated)
-        ends = columns[4] | columns[5]  # (T, E)
+        if self._one_by_one and self._is_single(step):
+            return self._add_single(*step)
+        self._join_steps()
+        columns = self._checked(step)
+        reward, ends = columns[2], columns[4] | columns[5]  # (T, E)
         envs = ends.shape[1]
         if self._autoreset == "same-step":
             columns = _with_final_obs(columns, ends, infos)
+        columns = self._as_recorded(columns)
         first, self.handed = self.handed, self.handed + ends.size
-        if self._plain:
-            flat = tuple(column[:, 0] for column in columns)
-            numbers = np.arange(first + 1, self.handed + 1)
-            found = self._episodes(0, flat[2], ends[:, 0], numbers)
-            self._pass_on(flat, numbers)
-            return found
         kept = np.ones_like(ends)
         if self._autoreset == "next-step":  # the step after an end only resets
             kept = ~_after_end(ends, self._ended)
             self._ended = ends[-1] & kept[-1]
-        found = []
+        found: list[Ended] = []
         for env in range(envs):
-            rows = np.flatnonzero(kept[:, env])
-            if len(rows):
-                own = tuple(column[rows, env] for column in columns)
-                numbers = first + rows * envs + env + 1
-                found += self._episodes(env, own[2], ends[rows, env], numbers)
+            rows = np.flatnonzero(kept[:, env]) if self._autoreset else slice(None)
+            own = tuple(column[rows, env] for column in columns)
+            numbers = np.arange(first + env + 1, self.handed + 1, envs)[rows]
+            if len(numbers):
+                found += self._episodes(env, reward[rows, env], ends[rows, env], numbers)
                 self._wait(env, own, numbers, ends[rows, env])
         return sorted(found, key=lambda ended: ended.at)
 
-    def _one_step(
-        self, obs: Any, action: Any, reward: Any, next_obs: Any, terminated: Any, truncated: Any
-    ) -> list[Ended] | None:
-        """`add` for a single step, in a third of the time; None if it is anything else."""
-        o, a, n = np.asarray(obs), np.asarray(action), np.asarray(next_obs)
-        if (o.shape, a.shape, n.shape) != self._shapes or not isinstance(reward, NUMBER):
-            return None
-        if o.dtype.kind != "f" or n.dtype.kind != "f" or a.dtype.kind != "f":
-            return None
-        total = np.add.reduce(o) + np.add.reduce(a) + np.add.reduce(n) + reward
-        if (
-            not isfinite(total)
-            or not isinstance(terminated, BOOL)
-            or not isinstance(truncated, BOOL)
-        ):
-            return None
-        at, self.handed = self._count, self.handed + 1
-        values = (o, a, reward, n, terminated, truncated, self.handed)
-        for block, value in zip((*self._block, self._numbers), values, strict=True):
-            block[at] = value
-        self._count += 1
-        self._returns[0] += reward
-        self._lengths[0] += 1
-        found = []
-        if terminated or truncated:
-            found = [Ended(self.handed, float(self._returns[0]), int(self._lengths[0]))]
-            self._returns[0] = self._lengths[0] = 0
-        if self._count == BLOCK:
-            self.flush()
-        return found
-
     def flush(self) -> None:
         """Pass on what is complete."""
-        count, self._count = self._count, 0
-        if count:
-            rows = Transitions(*(column[:count] for column in self._block))
-            self.written += count
-            self._write(rows, self._numbers[:count].copy())
+        self._join_steps()
+        parts, self._parts, self._count = self._parts, [], 0
+        if not parts:
+            return
+        rows = Transitions.concatenate([Transitions(*columns) for columns, _ in parts])
+        numbers = np.concatenate([numbers for _, numbers in parts])
+        size = ceil(len(rows) / max(len(rows) // BLOCK, 1))
+        for first in range(0, len(rows), size):
+            self._write(rows[first : first + size], numbers[first : first + size])
+        self._recorded.append(numbers)
 
     def close(self) -> None:
         """Pass on everything; an episode that is not over is cut: truncated."""
@@ -156,29 +145,81 @@ class Rows:
             waiting.clear()
         self.flush()
 
-    def _checked(self, *given: Any) -> Columns:
-        """The columns with axes (T, E, ...). Raises UserError."""
-        names = ("obs", "action", "reward", "next_obs", "terminated", "truncated")
-        kinds = (np.float64, np.float64, np.float64, np.float64, bool, bool)
+    def in_record(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The weights of the newest rows of the record, up to the oldest that has one.
+
+        `given` (N,) are those of the newest N rows handed in. A row between that the caller does
+        not hold any more has none: zero.
+        """
+        place = self.recorded - 1 - (self.handed - len(given))
+        place = place[np.argmax(place >= 0) if (place >= 0).any() else len(place) :]
+        return np.where(place >= 0, given[np.maximum(place, 0)], 0.0)
+
+    def _is_single(self, step: tuple[Any, ...]) -> bool:
+        obs, action, reward, next_obs, terminated, truncated = step
         try:
-            columns = [np.asarray(x, kind) for x, kind in zip(given, kinds, strict=True)]
-        except (TypeError, ValueError) as error:
-            raise UserError(f"transitions: no numbers ({error})") from None
+            shapes = obs.shape, action.shape, next_obs.shape
+        except AttributeError:
+            return False
+        return (
+            shapes == self._single
+            and isinstance(reward, NUMBER)
+            and isinstance(terminated, BOOL)
+            and isinstance(truncated, BOOL)
+        )
+
+    def _add_single(
+        self, obs: Any, action: Any, reward: Any, next_obs: Any, terminated: Any, truncated: Any
+    ) -> Sequence[Ended]:
+        row = obs.tolist(), action.tolist(), reward, next_obs.tolist(), terminated, truncated
+        if not isfinite(sum(row[0]) + sum(row[1]) + reward + sum(row[3])):
+            raise UserError("a step has a value that is no finite number")
+        self._steps.append(row)
+        self._count += 1
+        self.handed += 1
+        self._returns[0] += reward
+        self._lengths[0] += 1
+        if self._count >= BLOCK:
+            self.flush()
+        if not (terminated or truncated):
+            return ()
+        ended = Ended(self.handed, float(self._returns[0]), self._lengths[0])
+        self._returns[0], self._lengths[0] = 0.0, 0
+        return (ended,)
+
+    def _join_steps(self) -> None:
+        """Make the single steps one part."""
+        if self._steps:
+            columns = zip(zip(*self._steps, strict=True), KINDS, strict=True)
+            numbers = np.arange(self.handed - len(self._steps), self.handed) + 1
+            rows = self._as_recorded(tuple(np.array(column, kind) for column, kind in columns))
+            self._parts.append((rows, numbers))
+            self._steps = []
+
+    def _as_recorded(self, columns: Columns) -> Columns:
+        """Copies of the columns, as agents see them."""
+        obs, action, reward, next_obs, terminated, truncated = columns
+        return (
+            self._units.obs(obs), self._units.action(action), reward.astype(np.float32),
+            self._units.obs(next_obs), terminated.copy(), truncated.copy(),
+        )  # fmt: skip
+
+    def _checked(self, step: tuple[Any, ...]) -> Columns:
+        """The columns with axes (T, E, ...). Raises UserError, ValueError or TypeError."""
+        columns = [np.asarray(x, kind) for x, kind in zip(step, KINDS, strict=True)]
         lead = columns[0].shape[:-1]
         fits = len(lead) <= 1 if self.envs == 1 else lead[-1:] == (self.envs,) and len(lead) <= 2
-        for name, column in zip(names, columns, strict=True):
-            wanted = lead + self._tails.get(name, ())
-            if not fits or column.shape != wanted:
+        for name, column in zip(NAMES, columns, strict=True):
+            if not fits or column.shape != lead + self._shapes.get(name, ()):
                 axes = "(T,)" if self.envs == 1 else f"({self.envs},) or (T, {self.envs})"
                 raise UserError(
-                    f"transitions: {name} has shape {column.shape}; the task's rows are "
-                    + ", ".join(f"{n} {t}" for n, t in self._tails.items())
+                    f"{name} has shape {column.shape}; the task's rows are "
+                    + ", ".join(f"{n} {t}" for n, t in self._shapes.items())
                     + f", with the same leading axes everywhere: {axes}"
                 )
             if column.dtype != bool and not np.isfinite(column).all():
-                raise UserError(f"transitions: {name} has a value that is no finite number")
-        shape = (-1, self.envs)
-        return tuple(x.reshape(*shape, *x.shape[len(lead) :]) for x in columns)
+                raise UserError(f"{name} has a value that is no finite number")
+        return tuple(x.reshape(-1, self.envs, *x.shape[len(lead) :]) for x in columns)
 
     def _episodes(
         self, env: int, reward: NDArray, ends: NDArray[np.bool_], numbers: NDArray[np.int64]
@@ -186,9 +227,9 @@ class Rows:
         found, first = [], 0
         for last in np.flatnonzero(ends).tolist():
             total = self._returns[env] + reward[first : last + 1].sum()
-            length = int(self._lengths[env]) + last + 1 - first
+            length = self._lengths[env] + last + 1 - first
             found.append(Ended(int(numbers[last]), float(total), length))
-            self._returns[env] = self._lengths[env] = 0
+            self._returns[env], self._lengths[env] = 0.0, 0
             first = last + 1
         self._returns[env] += reward[first:].sum()
         self._lengths[env] += len(reward) - first
@@ -197,29 +238,23 @@ class Rows:
     def _wait(
         self, env: int, columns: Columns, numbers: NDArray[np.int64], ends: NDArray[np.bool_]
     ) -> None:
-        """Keep rows of one environment until their episode has ended."""
+        """Pass on rows once their episode has ended; of a single environment at once."""
         last = np.flatnonzero(ends)
-        done = int(last[-1]) + 1 if len(last) else 0
+        done = len(ends) if self._one_by_one else int(last[-1]) + 1 if len(last) else 0
         if done:
             for waiting in self._waiting[env]:
                 self._pass_on(*waiting)
             self._waiting[env].clear()
             self._pass_on(tuple(column[:done] for column in columns), numbers[:done])
         if done < len(numbers):
-            rest = tuple(column[done:].copy() for column in columns)
-            self._waiting[env].append((rest, numbers[done:].copy()))
+            rest = tuple(column[done:] for column in columns)
+            self._waiting[env].append((rest, numbers[done:]))
 
     def _pass_on(self, columns: Columns, numbers: NDArray[np.int64]) -> None:
-        done = 0
-        while done < len(numbers):
-            at = self._count
-            n = min(len(numbers) - done, BLOCK - at)
-            for block, column in zip(self._block, columns, strict=True):
-                block[at : at + n] = column[done : done + n]
-            self._numbers[at : at + n] = numbers[done : done + n]
-            self._count, done = at + n, done + n
-            if self._count == BLOCK:
-                self.flush()
+        self._parts.append((columns, numbers))
+        self._count += len(numbers)
+        if self._count >= BLOCK:
+            self.flush()
 
 
 def _after_end(ends: NDArray[np.bool_], before: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -240,8 +275,8 @@ def _with_final_obs(
     final = (infos or {}).get("final_obs")
     if final is None or len(ends) != 1:
         raise UserError(
-            "transitions: with same-step autoreset the next_obs of an ended episode is in "
-            "infos['final_obs']: hand in each step with its infos"
+            "with same-step autoreset the next_obs of an ended episode is in infos['final_obs']: "
+            "hand in each step with its infos"
         )
     next_obs = columns[3].copy()
     for env in np.flatnonzero(ends[0]).tolist():

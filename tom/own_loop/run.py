@@ -2,13 +2,11 @@
 
 import atexit
 import json
-import shlex
 import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Concatenate, Literal, ParamSpec, Self
@@ -17,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from tom.analysis.ordered_data import action_bounds, card_of_run
+from tom.analysis.ordered_data import card_of_run
 from tom.config import OWN_LOOP, OwnLoopConfig
 from tom.data.card import FEW_ROWS
 from tom.data.transitions import Transitions
-from tom.envs import ENVS, OTHERS, GymnasiumTask, Task, bring, task
-from tom.envs.gymnasium_task import OWN
+from tom.envs import Task
 from tom.errors import UserError, invalid_value, reason
 from tom.events import (
     Collected,
@@ -35,16 +32,15 @@ from tom.events import (
     TrainedPolicy,
     Weights,
 )
+from tom.own_loop.opening import known_task, opened
 from tom.own_loop.policy import PolicyCopier
-from tom.own_loop.resume import cut_back
-from tom.own_loop.rows import AUTORESET, Autoreset, Rows
+from tom.own_loop.rows import AUTORESET, Autoreset, Rows, Units, Write
 from tom.policy.collect import Evaluator
 from tom.policy.stored import StoredPolicy
 from tom.record import RunReader, Store, decode, layout
 from tom.record.files import plain
-from tom.record.manage import label
 from tom.record.recorder import Recorder
-from tom.record.writer import RunWriter, TakenError
+from tom.record.writer import RunWriter
 
 FLUSH_S = 2.0
 """seconds after which rows are written although they are few"""
@@ -92,51 +88,11 @@ def record(
         )
     except ValidationError as error:
         raise UserError(invalid_value(error)) from None
-    recorder, writer, handed = opened(place, name, settings, resume=resume, step=step)
-    return OwnRun(place, writer, recorder, known, envs, autoreset, handed, strict)
-
-
-def opened(
-    store: Store,
-    name: str,
-    settings: OwnLoopConfig,
-    *,
-    resume: Literal["auto"] | None,
-    step: int | None = None,
-) -> tuple[Recorder, RunWriter, int]:
-    """The recorder and writer of a new run, or of one that goes on at `step`; its rows so far."""
-    path, command = store.resolve(name), shlex.join(sys.argv)
-    if not (resume and path.exists()):
-        try:
-            writer = RunWriter.create(store, name, settings, command=command)
-        except TakenError as error:
-            raise TakenError(f'{error}, or go on with it: resume="auto"') from None
-        label(store, name, name=name)
-        return Recorder(writer), writer, 0
-    run = store.run(name)
-    same = {"env": settings.env, "learner": settings.learner}
-    if not run.own_loop or any(run.config.get(part) != value for part, value in same.items()):
-        raise UserError(f"run '{name}' is of {run.env} and {run.learner}: choose another name")
-    writer = RunWriter(path, settings)
-    try:
-        mark = cut_back(writer, step)
-        writer.resumed(settings, command)
-    except BaseException:
-        writer.close()
-        raise
-    numbers = RunReader(path).buffer()[1]
-    handed = int(numbers.max(initial=0)) if step is None else step
-    return Recorder(writer, mark=mark), writer, handed
-
-
-def known_task(env: str) -> Task:
-    """The task called `env`, ours if it is Gymnasium's under another name. Raises UserError."""
-    ours = {one.gym_id: one.name for one in ENVS.values() if not one.kwargs}
-    name = ours.get(env, env)
-    if name not in (*ENVS, *OTHERS) and ":" not in name:
-        name = f"{OWN}:{name}"
-    bring(name)
-    return task(name)
+    recorder, writer = opened(place, name, settings, resume, step)
+    numbers = RunReader(writer.path).buffer()[1]
+    handed = int(numbers.max(initial=0)) if step is None or not len(numbers) else step
+    rows = partial(Rows, known, envs, autoreset, handed, numbers)
+    return OwnRun(writer, recorder, known, rows, strict)
 
 
 def _guarded(
@@ -150,10 +106,10 @@ def _guarded(
             return
         try:
             method(self, *args, **kwargs)
-        except UserError as error:
-            self.refuse(error)
         except OSError as error:
-            self.give_up(error)
+            self._give_up(error)
+        except (UserError, TypeError, ValueError) as error:
+            self._refuse(f"{method.__name__}: {reason(error)}")
 
     return guarded
 
@@ -166,26 +122,19 @@ class OwnRun:
 
     def __init__(
         self,
-        store: Store,
         writer: RunWriter,
         recorder: Recorder,
         known: Task,
-        envs: int,
-        autoreset: Autoreset | None,
-        handed: int,
+        rows: Callable[[Write], Rows],
         strict: bool,
     ) -> None:
-        self.store, self.name, self.path = store, writer.run_id, writer.path
-        self.known, self.closed = known, False
-        self._low, self._high = (bound.astype(np.float64) for bound in action_bounds(known))
+        self.name, self.path = writer.run_id, writer.path
+        self.closed = False
+        self._known, self._units = known, Units(known)
         self._recorder, self._writer, self._strict = recorder, writer, strict
-        self.began_at = handed
+        self._rows = rows(self._write)
+        self.began_at = self.step
         """rows handed in before the loop began or went on"""
-        self._rows = Rows(known.obs_dim, known.action_dim, self._write, envs, autoreset, handed)
-        self._numbers: list[NDArray[np.int64]] | None = None
-        if envs > 1 or autoreset:
-            self._numbers = [RunReader(writer.path).buffer()[1]]
-        self._recorded = RunReader(writer.path).buffer_length()
         self._step = 0  # the last that the caller named
         self._returned = -1  # the last at which the caller gave eval/return
         self._flushed = time.monotonic()
@@ -226,7 +175,8 @@ class OwnRun:
         several environments (E,) or (T, E). `infos` are the vector environment's, whose `final_obs`
         counts with same-step autoreset.
         """
-        for ended in self._rows.add(obs, action, reward, next_obs, terminated, truncated, infos):
+        step = obs, action, reward, next_obs, terminated, truncated
+        for ended in self._rows.add(step, infos):
             values = {"train/return": ended.total, "train/length": float(ended.length)}
             self._recorder.consume(Metrics(ended.at, values))
         if time.monotonic() - self._flushed > FLUSH_S:
@@ -237,13 +187,8 @@ class OwnRun:
     @_guarded
     def metrics(self, step: int, values: Mapping[str, Any]) -> None:
         """Record numbers by name at env step `step`; steps never go back."""
-        numbers = {}
-        for name, value in values.items():
-            try:
-                numbers[str(name)] = float(getattr(value, "item", lambda value=value: value)())
-            except (TypeError, ValueError):
-                raise UserError(f"metrics: {name} is {value!r}, not a number") from None
-        self._recorder.consume(Metrics(self._at("metrics", step), numbers))
+        numbers = {str(name): float(value) for name, value in values.items()}
+        self._recorder.consume(Metrics(self._at(step), numbers))
         if "eval/return" in numbers:
             self._returned = self._step
 
@@ -253,23 +198,22 @@ class OwnRun:
 
         Non-negative numbers of any kind: priorities, recency, a loss.
         """
-        given = np.asarray(weights, np.float64)
-        n, handed = len(given) if given.ndim else 0, self.step
-        if given.ndim != 1 or not 0 < n <= handed:
+        given, handed = np.asarray(weights, np.float64), self.step
+        if given.ndim != 1 or not 0 < len(given) <= handed:
             raise UserError(
-                f"weights: shape {given.shape} for {handed} rows handed in: one for each of the "
-                "newest N rows"
+                f"shape {given.shape} for {handed} rows handed in: one for each of the newest N"
             )
         if not np.isfinite(given).all() or (given < 0).any() or not given.any():
-            raise UserError("weights: they must be finite, non-negative and not all zero")
-        at = self._at("weights", step)
+            raise UserError("they must be finite, non-negative and not all zero")
+        at = self._at(step)
         self._rows.flush()
-        kept = self._in_record(given, handed - n)
+        kept = self._rows.in_record(given)
         if not kept.any():
-            raise UserError("weights: none of the recorded rows has any weight yet")
+            raise UserError("none of the recorded rows has any weight yet")
         policy = self._policy[1] if self._policy and self._policy[0] == at else None
         weight = (kept / kept.mean()).astype(np.float32)
-        self._recorder.consume(Weights(at, weight, policy=policy, rows=self._recorded))
+        recorded = len(self._rows.recorded)
+        self._recorder.consume(Weights(at, weight, policy=policy, rows=recorded))
 
     @_guarded
     def policy(self, step: int, policy: Any) -> None:
@@ -277,10 +221,10 @@ class OwnRun:
 
         `tom.own_loop.policy` says what it may answer, and what becomes of it.
         """
-        at = self._at("policy", step)
+        at = self._at(step)
         self._rows.flush()
         rows = self._newest
-        obs = np.zeros((0, self.known.obs_dim)) if rows is None else np.asarray(rows.obs)
+        obs = np.zeros((0, self._known.obs_dim)) if rows is None else np.asarray(rows.obs)
         copied = self._copier.copy(policy, obs)
         self._policy = at, copied.arrays
         self._recorder.consume(KeptPolicy(at, copied.arrays))
@@ -311,7 +255,7 @@ class OwnRun:
         step's episodes, unless `metrics` gave it before.
         """
         reward = np.asarray(rewards, np.float32)
-        h, known = len(reward), self.known
+        h, known = len(reward), self._known
         shapes: dict[str, tuple[NDArray, tuple[int, ...]]] = {"rewards": (reward, (h,))}
         if isinstance(states, tuple):
             qpos, qvel = (np.asarray(part, np.float32) for part in states)
@@ -319,19 +263,19 @@ class OwnRun:
             left_out = known.root_dims or 0
             obs = np.concatenate((qpos[..., left_out:], qvel), -1)
         else:
-            obs, qpos, qvel = self._unit_obs(np.asarray(states, np.float64)), None, None
+            obs, qpos, qvel = self._units.obs(np.asarray(states, np.float64)), None, None
             shapes["states"] = obs, (h + 1, known.obs_dim)
             if known.root_dims is not None and obs.shape == shapes["states"][1]:
                 qpos, qvel = known.qpos_from_obs(obs), obs[:, known.nq - known.root_dims :]
         action = np.full((h, known.action_dim), np.nan, np.float32)
         if actions is not None:
-            action = self._unit_action(np.asarray(actions, np.float64))
+            action = self._units.action(np.asarray(actions, np.float64))
             shapes["actions"] = action, (h, known.action_dim)
         for name, (array, shape) in shapes.items():
             if array.shape != shape or not h:
-                raise UserError(f"episode: {name} has shape {array.shape}, not {shape}")
+                raise UserError(f"{name} has shape {array.shape}, not {shape}")
         episode = Episode(reward, action, obs, qpos, qvel, terminated, truncated)
-        self._evaluated(self._at("episode", step), [episode])
+        self._evaluated(self._at(step), [episode])
 
     @_guarded
     def evaluate(self, step: int, episodes: int = 3) -> None:
@@ -340,10 +284,10 @@ class OwnRun:
         They are recorded as replays, with `eval/return`. This takes the loop's time.
         """
         if self._policy is None:
-            raise UserError("evaluate: no policy has been kept yet: call policy before")
+            raise UserError("no policy has been kept yet: call policy before")
         if self._evaluator is None:
-            self._evaluator = Evaluator(self.known, episodes)
-        at, policy = self._at("evaluate", step), StoredPolicy(self._policy[1])
+            self._evaluator = Evaluator(self._known, episodes)
+        at, policy = self._at(step), StoredPolicy(self._policy[1])
         self._evaluated(at, self._evaluator.run(policy.mean, at))
 
     def latest_weights(self, learner: str = "tom") -> NDArray[np.float32]:
@@ -352,18 +296,15 @@ class OwnRun:
         Rows without a weight have 1, the mean: those that came later, and all before the first fit.
         """
         weights = np.ones(self.step, np.float32)
-        live = RunReader(self.path.with_name(f"{self.name}-{learner}"))
+        live = RunReader(self.path / layout.LIVE / learner)
         steps = live.snapshot_steps()
         if not steps:
             return weights
         if self._live is None or self._live[:2] != (learner, steps[-1]):
             self._live = learner, steps[-1], live.snapshot(steps[-1])["weight"].to_numpy(np.float32)
         found = self._live[2]
-        numbers = (
-            np.arange(len(found)) + 1 if self._numbers is None else self._order()[: len(found)]
-        )
-        held = numbers <= len(weights)
-        weights[numbers[held] - 1] = found[: len(numbers)][held]
+        numbers = self._rows.recorded[: len(found)]
+        weights[numbers - 1] = found[: len(numbers)]
         return weights
 
     # The end
@@ -383,14 +324,14 @@ class OwnRun:
     ) -> None:
         self._end(error)
 
-    def refuse(self, error: UserError) -> None:
+    def _refuse(self, why: str) -> None:
         """Say what was not recorded, and let the loop go on."""
         if self._strict:
-            raise error
-        warnings.warn(f"run {self.name}: not recorded: {error}", stacklevel=4)
-        self._notice("not-recorded", str(error))
+            raise UserError(why)
+        warnings.warn(f"run {self.name}: not recorded: {why}", stacklevel=4)
+        self._notice("not-recorded", why)
 
-    def give_up(self, error: OSError) -> None:
+    def _give_up(self, error: OSError) -> None:
         """End the record as failed; the loop goes on without one."""
         self.closed = True
         text = f'{reason(error)}: free some space, then start again with resume="auto"'
@@ -417,19 +358,16 @@ class OwnRun:
         self._recorder.__exit__(None if error is None else type(error), error, None)
 
     def _at_exit(self) -> None:
-        error = getattr(sys, "last_value", None)
-        self._end(error)
+        self._end(getattr(sys, "last_value", None))
 
     # Parts
 
-    def _at(self, what: str, step: int) -> int:
+    def _at(self, step: int) -> int:
         """`step`, checked. Raises UserError."""
-        if isinstance(step, bool) or not isinstance(step, int | np.integer) or step < 0:
-            raise UserError(f"{what}: step {step!r} is no whole number from 0 on")
+        if not isinstance(step, int | np.integer) or step < 0:
+            raise UserError(f"step {step!r} is no whole number from 0 on")
         if step < self._step:
-            raise UserError(
-                f"{what}: step {step} comes after step {self._step}: steps never go back"
-            )
+            raise UserError(f"step {step} comes after step {self._step}: steps never go back")
         self._step = int(step)
         return self._step
 
@@ -439,52 +377,14 @@ class OwnRun:
             self._given.add(code)
             self._recorder.consume(Notice(max(self.step, self._step), code, text))
 
-    def _unit_obs(self, obs: NDArray) -> NDArray:
-        return self.known.unit_obs(obs) if isinstance(self.known, GymnasiumTask) else obs
-
-    def _unit_action(self, action: NDArray) -> NDArray[np.float32]:
-        low, high = self._low, self._high
-        return ((2 * action - (high + low)) / (high - low)).astype(np.float32)
-
     def _write(self, rows: Transitions, numbers: NDArray[np.int64]) -> None:
-        """Record rows in the task's own units as agents see them."""
-        rows = replace(
-            rows,
-            obs=self._unit_obs(np.asarray(rows.obs)).astype(np.float32),
-            next_obs=self._unit_obs(np.asarray(rows.next_obs)).astype(np.float32),
-            action=self._unit_action(np.asarray(rows.action)),
-            reward=np.asarray(rows.reward, np.float32),
-            terminated=np.array(rows.terminated),
-            truncated=np.array(rows.truncated),
-        )
+        """Record rows as agents see them, with their numbers (n,)."""
         self._recorder.consume(Collected(self.step, rows, numbers))
-        self._recorded += len(rows)
-        if self._numbers is not None:
-            self._numbers.append(numbers)
         self._newest = rows
-        if self._recorded >= self._next_card and len(rows) >= FEW_ROWS:
-            self._next_card = 2 * self._recorded
-            for code, text in card_of_run(rows, self.known).notices():
+        if numbers[-1] >= self._next_card and len(rows) >= FEW_ROWS:
+            self._next_card = 2 * int(numbers[-1])
+            for code, text in card_of_run(rows, self._known).notices():
                 self._notice(code, text)
-
-    def _order(self) -> NDArray[np.int64]:
-        """The number with which each recorded row was handed in, (N,)."""
-        assert self._numbers is not None
-        self._numbers = [np.concatenate(self._numbers)]
-        return self._numbers[0]
-
-    def _in_record(self, given: NDArray[np.float64], before: int) -> NDArray[np.float64]:
-        """The weights of the newest rows of the record, up to the oldest that has one.
-
-        `given` (N,) are those of the rows handed in as numbers `before` + 1 and later. A row
-        between that the caller does not hold any more has none: zero.
-        """
-        if self._numbers is None:
-            return given[len(given) - min(len(given), self._recorded) :]
-        place = self._order() - before - 1
-        oldest = np.flatnonzero(place >= 0)[:1]
-        place = place[oldest[0] if len(oldest) else len(place) :]
-        return np.where(place >= 0, given[np.maximum(place, 0)], 0.0)
 
     def _evaluated(self, step: int, episodes: Sequence[Episode]) -> None:
         at, earlier = self._episodes

@@ -2,7 +2,7 @@
 
 A finished run has `digests.json`: the sha256 of every file, by which any changed bit is found.
 Left out are files that may change or be removed afterwards: the status and the labels, recordings,
-which can be made again from the files, and checkpoints, whose manifests have their own digests.
+which can be made again from the files, and checkpoints and live weights, which have their own.
 A repair moves damaged files into the run's `damaged/` folder and never deletes one.
 """
 
@@ -33,7 +33,7 @@ from tom.record.reader import RunReader
 
 SCHEMA = 1
 LEFT_OUT = (
-    layout.STATUS, layout.LABELS, layout.DIGESTS, checkpoint.FOLDER, layout.DAMAGED,
+    layout.STATUS, layout.LABELS, layout.DIGESTS, checkpoint.FOLDER, layout.DAMAGED, layout.LIVE,
 )  # fmt: skip
 """files and folders without digests"""
 
@@ -74,6 +74,8 @@ def verify(reader: RunReader) -> list[str]:
         problems.append(unread or "no checkpoint is whole: the run cannot go on")
     if any(not checkpoint.is_whole(p) for p in checkpoint.folders(run.path / layout.MODEL)):
         problems.append(f"{layout.MODEL} is damaged: ghosts and model errors are missing")
+    for learner, live in run.live().items():
+        problems += [f"{layout.LIVE}/{learner}/{problem}" for problem in verify(live)]
     if not run.status.alive:
         problems += [f"{name} is left from an interrupted write" for name in _left(run.path)]
     return problems

@@ -23,6 +23,8 @@ MODEL = "model"
 BUFFER = "buffer"
 SCENE = "scene.npz"
 DAMAGED = "damaged"
+LIVE = "live"
+"""live weights of the run's buffer, a run folder without rows for each learner"""
 DIGESTS = "digests.json"
 LINES = (METRICS, PROFILES, NOTICES)
 """the files that grow by a row at a time"""

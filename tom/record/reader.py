@@ -45,6 +45,8 @@ FILES: dict[str, tuple[str, ...]] = {
     "recordings": ("",),  # the folder itself, which every page needs for every run
 }
 """the files of those parts whose names are fixed"""
+OF_LOOP = ("buffer", "episodes")
+"""the parts, and folders, that live weights share with their loop"""
 Version = tuple[tuple[int, int], ...]
 """(mtime_ns, size) of each file"""
 MISSING = (0, 0)
@@ -81,9 +83,21 @@ class RunReader:
         self.unread: list[str] = []
         """problems of files that cannot be read for now: nothing is known of their content"""
 
+    @cached_property
+    def home(self) -> Path:
+        """The folder of the run in its store: `path`, but of live weights that of their loop."""
+        if self.path.parent.name == layout.LIVE and (self.path.parents[1] / layout.CONFIG).exists():
+            return self.path.parents[1]
+        return self.path
+
     @property
     def run_id(self) -> str:
-        return self.path.name
+        return self.home.name
+
+    @property
+    def argument(self) -> str:
+        """What commands call the run: its id, but of live weights their folder."""
+        return self.run_id if self.home == self.path else str(self.path)
 
     @property
     def name(self) -> str:
@@ -148,10 +162,13 @@ class RunReader:
         """Whether it is of a training loop of the user's own, which nothing here can resume."""
         return "own" in self.given
 
-    @property
-    def of(self) -> str:
-        """The run whose buffer it weighs live (`tom.weigh_live`); empty if it is no such run."""
-        return str(self.given.get("of", "")) if self.own_loop else ""
+    def live(self) -> dict[str, "RunReader"]:
+        """The live weights of its buffer (`tom.weigh_live`) by learner.
+
+        Each is this run seen with those weights: rows, labels and replays are the run's.
+        """
+        found = map(RunReader, sorted((self.path / layout.LIVE).glob("*/")))
+        return {one.learner: one for one in found if one.is_run}
 
     @property
     def seed(self) -> int:
@@ -253,11 +270,11 @@ class RunReader:
 
         Reads the names of the first segment's arrays: an older run that was resumed does not.
         """
-        first = self.path / layout.segment(0)
+        first = self.home / layout.segment(0)
         return first.is_file() and bool(self.arrays(layout.segment(0), BEHAVIOUR.__contains__))
 
     def evaluation_steps(self) -> list[int]:
-        return layout.numbers(self.path / "episodes", ".npz")
+        return layout.numbers(self.home / "episodes", ".npz")
 
     def episodes(self, step: int) -> list[Episode]:
         """The evaluation episodes at `step`."""
@@ -292,7 +309,7 @@ class RunReader:
 
     def buffer_length(self) -> int:
         """The number of rows ever collected; reads only the end of the last segment."""
-        first = max(layout.numbers(self.path / layout.BUFFER, ".npz"), default=0)
+        first = max(layout.numbers(self.home / layout.BUFFER, ".npz"), default=0)
         last = self.arrays(layout.segment(first), lambda name: name == "reward") or {}
         return first + len(last["reward"]) if "reward" in last else 0
 
@@ -327,7 +344,9 @@ class RunReader:
 
         A cache stores data read from a run together with it (`app/data/cache.py`).
         """
-        folder = str(self.path)  # pathlib takes longer to join paths than the kernel to stat them
+        folder = str(
+            self.home if part in OF_LOOP else self.path
+        )  # pathlib takes longer to join paths than the kernel to stat them
         return tuple(_stamp(f"{folder}/{name}") for name in self._files(part, step))
 
     def _files(self, part: Part, step: int) -> Sequence[str]:
@@ -341,7 +360,7 @@ class RunReader:
             case "policies":
                 return layout.policy(step), layout.POLICY
             case "buffer":  # the last segment, the only one that changes
-                firsts = layout.numbers(self.path / layout.BUFFER, ".npz")
+                firsts = layout.numbers(self.home / layout.BUFFER, ".npz")
                 return [layout.segment(first) for first in firsts[-1:]]
             case "model":
                 places = [self.path / place for place in checkpoint.MODEL_PLACES]
@@ -361,7 +380,7 @@ class RunReader:
 
         row = 0
         self._read(layout.BUFFER, os.listdir)  # a folder that cannot be listed is no empty one
-        for first in layout.numbers(self.path / layout.BUFFER, ".npz"):
+        for first in layout.numbers(self.home / layout.BUFFER, ".npz"):
             name = layout.segment(first)
             if first != row:
                 self._problem(f"{name}: rows {row} to {first} are missing; later rows are left out")
@@ -383,8 +402,9 @@ class RunReader:
         return decoded([]) if read is None else read
 
     def _read(self, name: str, read: Callable[[Path], T], *, needed: bool = False) -> T | None:
+        of_loop = name == layout.LABELS or name.partition("/")[0] in OF_LOOP
         try:
-            return read(self.path / name)
+            return read((self.home if of_loop else self.path) / name)
         except FileNotFoundError:
             if needed:
                 self._problem(f"{name} is missing")

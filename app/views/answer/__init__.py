@@ -15,6 +15,7 @@ from app.figures.curves import Look, group_curves
 from app.parts import address, trainings_strip, widgets
 from app.parts.plot import Follow, chart
 from app.parts.scope import Scope
+from app.theme import learner_label
 from app.views.answer import exams, model_error
 from tom.analysis import curves
 from tom.analysis.curves import Curve, Group
@@ -121,7 +122,7 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
             "Road-and-rocks learns from a fixed data set: nothing is collected after a fit. "
             "Attention shows the weights on the map.",
         )  # fmt: skip
-    if any(run.of for run in next(iter(fresh.values()))):
+    if any(readers.weighed(run) is not run for run in next(iter(fresh.values()))):
         answers.append(
             Answer("unknown", "Not asked here", "Nothing learns from live weights: they are "
                    "computed beside a training loop.", "`run.latest_weights()` gives them to it.")
@@ -194,14 +195,16 @@ def _caption(what: str, groups: Sequence[Group], looks: Mapping[Kind, Look]) -> 
 
 
 def _side(title: str, runs: Sequence[RunReader]) -> Side:
+    loops, runs = runs, [readers.weighed(run) for run in runs]
     frames = [readers.metrics(run) for run in runs]
-    name = text.markdown(title)  # it stands in sentences
+    live = f" ({learner_label(runs[0].learner)}, live)" if runs[0] is not loops[0] else ""
+    name = text.markdown(title + live)  # it stands in sentences
     return Side(
         name,
         all(map(_uniform, runs)),  # grouped by a setting, learners are mixed
         tuple(run.seed for run in runs),
         [readers.profiles(run) for run in runs],
-        [widgets.curve(run, "eval/return") for run in runs],
+        [widgets.curve(run, "eval/return") for run in loops],
         [
             exams_of(run.run_id, run.learner, run.seed, name, frame)
             for run, frame in zip(runs, frames, strict=True)
@@ -232,7 +235,7 @@ def _grouped(scope: Scope, made: Sequence[tuple[RunReader, np.ndarray, np.ndarra
 
 def _share_curves(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> list[Group]:
     runs = [run for of in groups.values() for run in of if not _uniform(run)]
-    found = [(run, readers.profiles(run)) for run in runs]
+    found = [(run, readers.profiles(readers.weighed(run))) for run in runs]
     return _grouped(
         scope, [(r, p.env_step, 100 * newest_share(p)) for r, p in found if len(p.env_step)]
     )

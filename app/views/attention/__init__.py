@@ -15,6 +15,7 @@ from app.parts import address, empty, readout, timeline, widgets
 from app.parts.plot import Follow, Point, chart
 from app.parts.readout import Number
 from app.parts.scope import Scope
+from app.theme import learner_label
 from app.views.attention import exam, in_buffer, learners, road
 from app.views.attention.in_buffer import pick_data
 from tom import readable
@@ -23,6 +24,7 @@ from tom.learners import LEARNERS
 from tom.learners.base import DEGENERATE
 from tom.record.decode import Profiles
 from tom.record.reader import RunReader, at_or_before
+from tom.record.status import Status
 from tom.record.thin import FITS
 
 ONE, LEARNERS_ON_IT = "One learner's weights", "Every learner on one buffer"
@@ -46,7 +48,9 @@ def page(scope: Scope) -> None:
 
 def _one(scope: Scope) -> None:
     data = {one.run_id: one for one in weighings.datasets(session.links().store)}
-    run = data.get(scope.asked) or scope.one(readers.has_profiles, widgets.telling)
+    run = data.get(scope.asked) or scope.one(
+        lambda run: bool(readers.weighers(run)), widgets.telling
+    )
     if data:
         run = pick_data(st.columns([1, 2])[0], data, run)
     empty.of_own_loop(scope, run, "weights")
@@ -54,9 +58,10 @@ def _one(scope: Scope) -> None:
         st.info("No run here has fitted a model yet: weights come with the first fit.")
         return
     asked = [one for one in scope.runs if one.run_id == scope.asked]
-    if asked and not (run.run_id in data or scope.asked in (run.run_id, run.of)):
+    if asked and run.run_id not in (*data, scope.asked):
         st.info("The chosen run has not fitted a model yet: weights come with the first fit.")
         return
+    run = _pick_weigher(run)
     profiles = readers.profiles(run)
     fits, evaluations = profiles.env_step.tolist(), run.evaluation_steps()
     if run.run_id in data:
@@ -81,6 +86,22 @@ def _one(scope: Scope) -> None:
     widgets.show_problems(run)
 
 
+def _pick_weigher(run: RunReader) -> RunReader:
+    """The run seen with the weights of one learner: its own, or live ones."""
+    found = readers.weighers(run) or {run.learner: run}
+    chosen = next(iter(found))
+    if len(found) > 1:
+        chosen = address.choose_one(
+            st.segmented_control, "Weights by", list(found), "by", chosen, learner_label,
+            required=True,
+        )  # fmt: skip
+    run = found[chosen]
+    live = run.status if run.home != run.path else Status()  # no card shows it
+    for words in filter(None, (*live.warnings, live.reason)):
+        st.caption(text.markdown(words))
+    return run
+
+
 def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
     """The weights of all fits by age, with the returns, and the profile of one."""
     x, fits = steps_in_words([run.env]), profiles.env_step.tolist()
@@ -88,7 +109,7 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
     with left, st.container(border=True):
         st.markdown("**Every fit**: weight by age, newest on top, and the returns")
         figure = weight_map(profiles, session.mode(), HEIGHT, x=x)
-        figure = with_returns(figure, widgets.curve(readers.evaluated(run), "eval/return"))
+        figure = with_returns(figure, widgets.curve(readers.loop(run), "eval/return"))
         label = "weight of each part of the buffer at every fit, and the returns below"
         chart(figure, "weight map", label, partial(_go_to, fits), follow=Follow(cursor=True))
         if run.small_copy and len(fits) >= FITS:
@@ -120,7 +141,7 @@ def _elsewhere(run: RunReader, step: int) -> None:
 def _open_learners(run: RunReader, step: int) -> None:
     state = st.session_state
     state["part"], state["run"], state["at"] = LEARNERS_ON_IT, [run.run_id], step
-    of_step = [one for one in weighings.of_run(run, buffer.length(run)) if one.step == step]
+    of_step = [one for one in weighings.every(run, buffer.length(run)) if one.step == step]
     if of_step:
         state["weighed"] = of_step[0].name
 

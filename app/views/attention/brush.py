@@ -75,7 +75,7 @@ def _start(run: RunReader, source: Source, mask: Mask) -> None:
         with NamedTemporaryFile("w", prefix="tom-brush-", suffix=".txt", delete=False) as file:
             np.savetxt(file, source.first + np.flatnonzero(mask), fmt="%d")
         store = session.links().store
-        words = command(run.run_id, file.name, source.end, source.option, factors, store)
+        words = command(run.argument, file.name, source.end, source.option, factors, store)
         begun = st.session_state[BEGUN] = trainings.start(words)
         Thread(target=_remove_after, args=(begun.process, Path(file.name)), daemon=True).start()
 
@@ -90,7 +90,7 @@ def _why_not(run: RunReader, count: int, of: int) -> str:
     if why := session.read_only_reason():
         return why
     if is_code(run.env):
-        words = text.markdown(f"tom brush {run.run_id} --env {run.env} --rows FILE --step N")
+        words = text.markdown(f"tom brush {run.argument} --env {run.env} --rows FILE --step N")
         return f"It runs code of yours, so it is started in a terminal: {words}"
     return "" if 0 < count < of else "Choose some rows of the buffer above, not all of them."
 

@@ -9,7 +9,7 @@ from app import text
 from app.data import readers
 from app.data.exams import at_fit
 from app.parts.readout import Number
-from tom.config import Settings
+from tom.config import OWN_LOOP, Settings
 from tom.exams.energy import informative
 from tom.learners import LEARNERS
 from tom.metrics import describe
@@ -51,7 +51,7 @@ def say(run: RunReader, fit: int) -> None:
 
 def without(run: RunReader, examined: bool) -> str:
     """Why a fit has no exam; `examined`: another fit of the run has one."""
-    if run.own_loop and not run.of:
+    if run.own_loop and run.learner == OWN_LOOP:
         return "No exam: weights that a loop hands in sit none, those of `tom.weigh_live` do."
     if not examined and not run.status.alive:
         return (

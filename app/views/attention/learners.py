@@ -55,7 +55,7 @@ def draw(scope: Scope) -> None:
         st.warning("This replay buffer cannot be read.")
         return
     with top[0]:
-        chosen = _pick_weighing(weighings.of_run(run, rows))
+        chosen = _pick_weighing(weighings.every(run, rows))
     if chosen is None:
         st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
     else:
@@ -75,7 +75,7 @@ def _pick_weighing(of_buffer: list[Weighing]) -> Weighing | None:
         return None
     chosen = address.choose_one(
         st.selectbox, "Weighed", list(by_name), "weighed", of_buffer[0].name,
-        help="results of `tom weigh` in the store, newest first",
+        help="live weights of a loop of your own; results of `tom weigh`, newest first",
     )  # fmt: skip
     return by_name[chosen]
 
@@ -120,14 +120,19 @@ def nearest(footprints: Mapping[str, Floats]) -> str:
     if len(found) < 2:
         return ""
     (least, first), (more, second) = found[:2]
-    apart = max(float(np.ptp(v)) for v in finite.values() if len(v))
     one, other = (text.markdown(learner_label(name)) for name in (first, second))
-    sure = "more" if more - least > apart else "no more"
-    return (
+    sentence = (
         f"**{one} puts its weight nearest to the policy**: its weighted buffer keeps "
-        f"{readable.percent(least, 0)} of the distance to the policy's fresh episodes, {other}'s, "
-        f"the next, {readable.percent(more, 0)}. That is {sure} than two seeds of one learner "
-        f"differ here (at most {readable.percent(apart, 0)})."
+        f"{readable.percent(least, 0)} of the distance to the policy's new steps, {other}'s, "
+        f"the next, {readable.percent(more, 0)}. "
+    )
+    if max(map(len, finite.values())) < 2:
+        return sentence + "With one seed of each, nobody knows whether that is more than chance."
+    apart = max(float(np.ptp(v)) for v in finite.values() if len(v))
+    sure = "more" if more - least > apart else "no more"
+    return sentence + (
+        f"That is {sure} than two seeds of one learner differ here (at most "
+        f"{readable.percent(apart, 0)})."
     )
 
 

@@ -201,7 +201,7 @@ def _offer(run: RunReader, rows: Rows) -> None:
     if run.env == ROAD or is_code(run.env) or step not in run.policy_steps():
         return
     store = session.links().store
-    words = ["weigh", run.run_id, "--policy", run.run_id, "--step", str(step)]
+    words = ["weigh", run.argument, "--policy", run.argument, "--step", str(step)]
     words += ["--learner", SUBJECT, "--seeds", "0", "--store", store]
     st.caption(
         "Weighed anew with this fit's policy and the run's settings the buffer has terms (Q begins "

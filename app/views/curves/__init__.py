@@ -75,9 +75,10 @@ def _curves(scope: Scope, row: DeltaGenerator) -> None:
         how = measure.choose(recorded)
     alive = any(run.status.alive for run in scope.runs)
     st.fragment(_panels, run_every=REFRESH_S if alive else None)(scope, chosen, how)
-    run = scope.one(readers.has_profiles, widgets.telling)
+    run = scope.one(lambda run: bool(readers.weighers(run)), widgets.telling)
     if run is not None and how.axes.x == measure.STEPS:
-        fits, evaluations = readers.profiles(run).env_step.tolist(), run.evaluation_steps()
+        fits = readers.profiles(readers.weighed(run)).env_step.tolist()
+        evaluations = run.evaluation_steps()
         if stops := sorted({*fits, *evaluations}):
             timeline.draw(fits, evaluations, timeline.chosen(stops))
 

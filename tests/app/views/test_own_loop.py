@@ -7,8 +7,18 @@ import pytest
 from streamlit.testing.v1 import AppTest
 from studio_pages import Show, array, captions, draw, figures
 
+import tom
+from app.theme import learner_label
+from tom.frames import Run
 from tom.own_loop.live import weigh_live
 from tom.own_loop.run import record
+
+
+def loaded(store: Path, name: str) -> Run:
+    found = tom.load(name, store=store)
+    assert isinstance(found, Run)
+    return found
+
 
 PAGES = ("answer", "curves", "attention", "replays")
 RETURNS = [-9.0, -4.0]
@@ -31,8 +41,9 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
                     run.weights(step, np.arange(step) + 1.0)
             if name == "live":
                 run.policy(400, lambda obs: obs[:, :1])
+                run.weights(400, np.arange(400) + 1.0)
                 run.episode(400, rng.normal(size=(11, 3)), np.ones(10))
-                live = weigh_live(run, ("pmac",), every=100)
+                live = weigh_live(run, ("pmac", "tom"), every=100)
         if live is not None:
             live.wait(120)
     return path
@@ -66,9 +77,25 @@ def test_a_page_names_the_call_that_would_give_what_is_missing(page: str, run: s
     assert call in captions(draw(page, run=run))
 
 
-def test_weights_of_the_loop_and_live_ones_are_shown_with_its_returns():
-    for run, steps in (("weighs", [200, 400]), ("live", [400])):
-        app = draw("attention", run=run)
-        [heat] = [t for f in figures(app) for t in f["data"] if t["type"] == "heatmap"]
-        assert array(heat["z"]).shape[1] == len(steps)
-        assert has_returns(app)
+@pytest.mark.parametrize(
+    ("run", "by", "fits"), [("weighs", "own-loop", 2), ("live", "own-loop", 1), ("live", "tom", 1)]
+)
+def test_weights_of_the_loop_and_live_ones_are_shown_with_its_returns(run, by, fits, store: Path):
+    app = draw("attention", run=run, by=by)
+    drawn = [trace for figure in figures(app) for trace in figure["data"]]
+    [heat] = [trace for trace in drawn if trace["type"] == "heatmap"]
+    assert array(heat["z"]).shape[1] == fits
+    assert has_returns(app)
+    found = loaded(store, run)
+    bins = (found if by == "own-loop" else found.live[by]).profiles.to_numpy()[-1]
+    lines = [array(trace["y"]) for trace in drawn if "y" in trace]
+    assert any(y.shape == bins.shape and np.allclose(y, bins) for y in lines)
+
+
+def test_live_weights_of_all_learners_are_compared(store: Path):
+    app = draw("attention", run="live", part="Every learner on one buffer")
+    ess = app.dataframe[0].value.set_index("learner")["ESS"]
+    for learner, live in loaded(store, "live").live.items():
+        weight = live.weights()["weight"].to_numpy()
+        expected = weight.sum() ** 2 / (weight**2).sum() / 400
+        assert ess[learner_label(learner)] == pytest.approx(expected, rel=1e-4)

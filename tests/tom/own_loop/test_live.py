@@ -12,6 +12,7 @@ from tom.frames import Run
 from tom.own_loop.live import weigh_live
 from tom.own_loop.run import OwnRun, record
 from tom.record import RunReader, layout
+from tom.record.integrity import verify
 
 PATIENCE_S = 120
 
@@ -38,9 +39,9 @@ def hand_in(run: OwnRun, rows: int, envs: int = 1) -> None:
     run.policy(run.step, act)
 
 
-def until_weighed(store: Path, name: str, step: int = 1) -> None:
-    begun = time.monotonic()
-    while not [s for s in RunReader(store / name).snapshot_steps() if s >= step]:
+def until_weighed(store: Path, learner: str, step: int) -> None:
+    begun, live = time.monotonic(), store / "mine" / layout.LIVE / learner
+    while not [s for s in RunReader(live).snapshot_steps() if s >= step]:
         assert time.monotonic() - begun < PATIENCE_S
         time.sleep(0.05)
 
@@ -51,20 +52,19 @@ def test_the_newest_buffer_is_weighed_beside_the_loop(envs: int, tmp_path: Path)
         assert run.latest_weights("pmac").tolist() == []
         hand_in(run, 400, envs)
         live = weigh_live(run, ("pmac", "tom"), every=200)
-        until_weighed(tmp_path, "mine-tom", 400)
+        until_weighed(tmp_path, "tom", 400)
         hand_in(run, 100, envs)
         weights = run.latest_weights("pmac")
         assert weights[400:].tolist() == [1.0] * 100
         hand_in(run, 700, envs)
     live.wait(PATIENCE_S)
     own, rows = loaded(tmp_path, "mine"), {}
-    for learner in ("pmac", "tom"):
-        found = loaded(tmp_path, f"mine-{learner}")
-        assert found.reader.of == "mine"
+    assert [*own.live] == ["pmac", "tom"]
+    assert not verify(own.reader)
+    for learner, found in own.live.items():
         assert str(found.summary["state"]) == "finished"
         assert bool(found.transitions.equals(own.transitions))
-        first = layout.segment(0)
-        assert (found.reader.path / first).samefile(own.reader.path / first)
+        assert not [*found.reader.path.glob("buffer/*")]  # no second copy
         assert found.reader.snapshot_steps()[-1] == 1200
         assert len(found.reader.profiles().env_step) <= 1200 // 200
         rows[learner] = found.rows()
@@ -101,7 +101,7 @@ def test_a_weighing_that_fails_is_told_at_the_end(tmp_path: Path):
     with pytest.warns(UserWarning, match="live weighing failed"):
         run.close()
     assert str(loaded(tmp_path, "mine").summary["state"]) == "finished"
-    assert str(loaded(tmp_path, "mine-mle").summary["state"]) == "failed"
+    assert str(loaded(tmp_path, "mine").live["mle"].summary["state"]) == "failed"
 
 
 def test_a_run_that_goes_on_is_weighed_from_there(tmp_path: Path):
@@ -111,9 +111,9 @@ def test_a_run_that_goes_on_is_weighed_from_there(tmp_path: Path):
             hand_in(run, 400)
             live = weigh_live(run, ("mle",), every=100)
         live.wait(PATIENCE_S)
-    found, own = loaded(tmp_path, "mine-mle"), loaded(tmp_path, "mine")
+    own = loaded(tmp_path, "mine")
+    found = own.live["mle"]
     assert len(own.transitions) == 700
-    assert found.transitions.equals(own.transitions)
     fits = found.reader.profiles().env_step.tolist()
     assert fits == [700]  # not that of rows that were cut off
     assert found.reader.snapshot_steps() == fits

@@ -49,7 +49,7 @@ def watched(env: str = "Pendulum-v1") -> Watched:
 
 
 def loaded(run: OwnRun) -> Run:
-    found = tom.load(run.name, store=run.store.path)
+    found = tom.load(run.name, store=run.path.parent)
     assert isinstance(found, Run)
     return found
 

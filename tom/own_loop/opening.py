@@ -1,20 +1,69 @@
-"""Goes on with the record of a loop of the user's own: cuts it back to the step of the new start.
+"""The folder of a loop's record: made, or cut back to the step from which the loop goes on.
 
 Unlike our trainings such a loop has no checkpoint here, so its record is cut by what it says.
 """
 
 import hashlib
+import shlex
+import sys
 from dataclasses import fields
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
+from tom.config import OWN_LOOP, OwnLoopConfig
 from tom.data.transitions import Transitions
 from tom.data.unpack import read_arrays
-from tom.record import decode, layout
+from tom.envs import ENVS, OTHERS, Task, bring, task
+from tom.envs.gymnasium_task import OWN
+from tom.errors import UserError
+from tom.record import Store, decode, layout
 from tom.record.files import parse_json_line
+from tom.record.manage import label
 from tom.record.reader import RunReader
-from tom.record.writer import RunWriter
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter, TakenError
+
+
+def known_task(env: str) -> Task:
+    """The task called `env`, ours if it is Gymnasium's under another name. Raises UserError."""
+    ours = {one.gym_id: one.name for one in ENVS.values() if not one.kwargs}
+    name = ours.get(env, env)
+    if name not in (*ENVS, *OTHERS) and ":" not in name:
+        name = f"{OWN}:{name}"
+    bring(name)
+    return task(name)
+
+
+def opened(
+    store: Store,
+    name: str,
+    settings: OwnLoopConfig,
+    resume: Literal["auto"] | None = None,
+    step: int | None = None,
+) -> tuple[Recorder, RunWriter]:
+    """The record of a new run, or of one that goes on at `step` (None: where it ended)."""
+    path, command = store.resolve(name), shlex.join(sys.argv)
+    if not (resume and path.exists()):
+        try:
+            writer = RunWriter.create(store, name, settings, command=command)
+        except TakenError as error:
+            raise TakenError(f'{error}, or go on with it: resume="auto"') from None
+        if settings.learner == OWN_LOOP:
+            label(store, name, name=name)
+        return Recorder(writer), writer
+    run = store.run(name)
+    same = {"env": settings.env, "learner": settings.learner}
+    if not run.own_loop or any(run.config.get(part) != value for part, value in same.items()):
+        raise UserError(f"run '{name}' is of {run.env} and {run.learner}: choose another name")
+    writer = RunWriter(path, settings)
+    try:
+        mark = cut_back(writer, step)
+        writer.resumed(settings, command)
+    except BaseException:
+        writer.close()
+        raise
+    return Recorder(writer, mark=mark), writer
 
 
 def cut_back(writer: RunWriter, step: int | None = None) -> dict[str, Any]:
