@@ -8,6 +8,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from statistics import median
 from time import perf_counter, process_time
 from typing import Any
 
@@ -19,6 +20,7 @@ from tom.data.transitions import TensorTransitions, Transitions
 from tom.events import Collected, Episode, Evaluation, Event, Metrics, Tick, Weights
 from tom.mbpo import Mbpo
 from tom.metrics import METRICS
+from tom.own_loop.run import record
 from tom.record import checkpoint, layout
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import RerunSink
@@ -96,6 +98,69 @@ def make_store(folder: Path, runs: int = RUNS) -> Path:
         for name in (layout.CONFIG, layout.STATUS, layout.METRICS):
             os.link(run.path / name, copy / name)
     return many
+
+
+# A loop of the user's own
+
+LOOP_ROWS, LOOP_BLOCK, LOOP_CALLS = 1_000_000, 1000, 20_000
+STEP_MS = 10.0  # of the loop, of which recording may take 1 %
+
+
+def loop_costs() -> list[Row]:
+    """`tom.record` with Hopper's rows in double precision: calls of one step, and of blocks.
+
+    A call is the median of 20 000, and of 1 000 in a loop that leaves nothing in the caches; the
+    target is 1 % of a step of 10 ms. Of blocks it is twice the time of `numpy.save` for the same
+    arrays. Wall-clock time, the least of three for whole arrays.
+    """
+    rng = np.random.default_rng(0)
+    walk = rng.normal(size=(LOOP_ROWS + 1, OBS)).cumsum(0)
+    action, reward = rng.uniform(-1, 1, (LOOP_ROWS, ACTION)), rng.normal(size=LOOP_ROWS)
+    cut = np.arange(LOOP_ROWS) % STEPS == STEPS - 1
+    columns = walk[:-1], action, reward, walk[1:], np.zeros(LOOP_ROWS, bool), cut
+    calls = {
+        "one step": _call_us(columns, LOOP_CALLS, 0),
+        "one step, caches cold": _call_us(columns, LOOP_CALLS // 20, 4_000_000),
+    }
+    target_us = STEP_MS * 1e3 / 100
+    rows = [
+        {"part": part, "us": us, "target_us": target_us, "met": us <= target_us}
+        for part, us in calls.items()
+    ]
+    block, saved = (min(of(columns) for _ in range(REPEATS)) for of in (_blocks_s, _saved_s))
+    per_row = 1e6 / LOOP_ROWS
+    row = {"part": "a row, in blocks of 1 000", "us": block * per_row}
+    return [*rows, {**row, "target_us": 2 * saved * per_row, "met": block <= 2 * saved}]
+
+
+def _call_us(columns: tuple[np.ndarray, ...], calls: int, between: int) -> float:
+    """Median microseconds of a call with one step; `between` numbers are written before each."""
+    others, took = np.zeros(between), []
+    with tempfile.TemporaryDirectory() as folder, record("a", env="Hopper-v5", store=folder) as run:
+        for row in range(calls):
+            others += 1
+            step = [column[row] for column in columns]
+            begun = perf_counter()
+            run.transitions(*step)
+            took.append(perf_counter() - begun)
+    return 1e6 * median(took)
+
+
+def _blocks_s(columns: tuple[np.ndarray, ...]) -> float:
+    with tempfile.TemporaryDirectory() as folder, record("a", env="Hopper-v5", store=folder) as run:
+        begun = perf_counter()
+        for first in range(0, LOOP_ROWS, LOOP_BLOCK):
+            run.transitions(*(column[first : first + LOOP_BLOCK] for column in columns))
+        run.close()
+        return perf_counter() - begun
+
+
+def _saved_s(columns: tuple[np.ndarray, ...]) -> float:
+    with tempfile.TemporaryDirectory() as folder:
+        begun = perf_counter()
+        for number, column in enumerate(columns):
+            np.save(Path(folder) / str(number), column)
+        return perf_counter() - begun
 
 
 # Recording

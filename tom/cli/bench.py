@@ -148,7 +148,7 @@ def _memory(_: argparse.Namespace) -> Measured:
 
 
 def _record(_: argparse.Namespace) -> Measured:
-    from tom.bench.recording import checkpoint_costs, listing_cost, recording_costs
+    from tom.bench.recording import checkpoint_costs, listing_cost, loop_costs, recording_costs
     from tom.bench.training import cycle_s
 
     def list_all(store: Path) -> None:
@@ -163,11 +163,13 @@ def _record(_: argparse.Namespace) -> Measured:
         "recording": recording_costs(train_s),
         "checkpoints": checkpoint_costs(train_s),
         "listing": [listing_cost(list_all)],
+        "loop": loop_costs(),
     }
     titles = (
         f"recording, for each 250 env steps of Hopper ({train_s:.1f} s of CPU time)",
         "checkpoints, one every 2000 steps",
         "tom runs list, once tom is loaded",
+        "a loop of one's own, microseconds",
     )
     return content, dict(zip(titles, content.values(), strict=True))
 

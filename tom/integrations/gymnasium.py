@@ -12,58 +12,47 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
-from tom.own_loop.run import record
+from tom.own_loop.run import OwnRun, record
 
 MODES = {AutoresetMode.NEXT_STEP: "next-step", AutoresetMode.SAME_STEP: "same-step"}
 
 
-def _task(env: gym.Env | VectorEnv, options: dict[str, Any]) -> dict[str, Any]:
-    return options if "env" in options or env.spec is None else {"env": env.spec.id, **options}
+class _Recorded:
+    """Records the steps of the wrapper that it is mixed into."""
 
-
-class RecordEnv(gym.Wrapper):
-    """An environment whose steps are recorded."""
-
-    def __init__(self, env: gym.Env, name: str, **options: Any) -> None:
-        super().__init__(env)
-        self.run, self._obs = record(name, **_task(env, options)), None
+    env: Any
+    run: OwnRun
 
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
         self._obs, info = self.env.reset(**options)
         return self._obs, info
 
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         found = self.env.step(action)
-        obs, reward, terminated, truncated, _ = found
-        self.run.transitions(self._obs, action, reward, obs, terminated, truncated)
-        self._obs = obs
-        return found
-
-    def close(self) -> None:
-        self.run.close()
-        self.env.close()
-
-
-class RecordVectorEnv(VectorWrapper):
-    """A vector environment whose steps are recorded, in each of Gymnasium's modes of autoreset."""
-
-    def __init__(self, env: VectorEnv, name: str, **options: Any) -> None:
-        super().__init__(env)
-        kind = env.metadata.get("autoreset_mode")
-        mode = None if kind is None else MODES.get(kind)
-        own = {"envs": env.num_envs, "autoreset": mode, **_task(env, options)}
-        self.run, self._obs = record(name, **own), None
-
-    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
-        self._obs, infos = self.env.reset(**options)
-        return self._obs, infos
-
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        found = self.env.step(actions)
-        self.run.transitions(self._obs, actions, found[1], found[0], *found[2:])
+        self.run.transitions(self._obs, action, found[1], found[0], *found[2:])
         self._obs = found[0]
         return found
 
     def close(self, **options: Any) -> None:
         self.run.close()
         self.env.close(**options)
+
+
+class RecordEnv(_Recorded, gym.Wrapper):
+    """An environment whose steps are recorded."""
+
+    def __init__(self, env: gym.Env, name: str, **options: Any) -> None:
+        super().__init__(env)
+        own: dict[str, Any] = {"env": env.spec.id} if env.spec else {}
+        self.run = record(name, **own | options)
+
+
+class RecordVectorEnv(_Recorded, VectorWrapper):  # pyright: ignore[reportIncompatibleMethodOverride]
+    """A vector environment whose steps are recorded, in each of Gymnasium's modes of autoreset."""
+
+    def __init__(self, env: VectorEnv, name: str, **options: Any) -> None:
+        super().__init__(env)
+        mode = env.metadata.get("autoreset_mode", AutoresetMode.DISABLED)
+        own: dict[str, Any] = {"envs": env.num_envs, "autoreset": MODES.get(mode)}
+        own |= {"env": env.spec.id} if env.spec else {}
+        self.run = record(name, **own | options)

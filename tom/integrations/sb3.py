@@ -7,10 +7,12 @@ The library keeps both in pickles, which are code. Here they become numbers and 
     sb3.export_buffer(model, "buffer.npz")
     sb3.export_policy(model, "policy.pt")
 
-`sb3.RecordCallback` records a training while it runs (tom/integrations/sb3_callback.py).
+`sb3.RecordCallback` (tom/integrations/sb3_callback.py) records a training while it runs, by the
+last functions here.
 """
 
 import warnings
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,14 @@ from torch import Tensor
 from tom.errors import UserError
 
 Columns = dict[str, NDArray]
+OURS = {
+    "eval/mean_reward": "eval/return",
+    "train/critic_loss": "critic/loss",
+    "train/actor_loss": "actor/loss",
+    "train/ent_coef": "temperature/value",
+}
+"""the library's names of what has a name here"""
+SETTINGS = ("learning_rate", "batch_size", "gamma", "tau", "buffer_size", "learning_starts")
 
 
 def __getattr__(name: str) -> Any:
@@ -133,3 +143,50 @@ def export_policy(model: Any, path: str | Path) -> None:
     network = _Gaussian(actor) if gaussian else _Deterministic(actor, *bounds)
     example = torch.zeros(1, *model.observation_space.shape)
     torch.jit.trace_module(network, {"forward": example}).save(str(path))
+
+
+def settings(model: Any) -> dict[str, Any]:
+    """What `tom.record` is told of a model in training, which goes on if it has learnt before.
+
+    The task only if it has a Gymnasium id.
+    """
+    env, kept = model.get_env(), {name: getattr(model, name, None) for name in SETTINGS}
+    numbers = {name: value for name, value in kept.items() if isinstance(value, int | float)}
+    spec, at = env.get_attr("spec")[0], model.num_timesteps
+    return {
+        **({"env": spec.id} if spec else {}),
+        **({"resume": "auto", "step": at} if at else {}),
+        "envs": env.num_envs,
+        "seed": model.seed or 0,
+        "steps": model._total_timesteps,
+        "config": {"algorithm": type(model).__name__, **numbers},
+    }
+
+
+def newest_obs(model: Any, obs: Any) -> NDArray:
+    """The observations (E, O) that a model in training has got, in the task's own units."""
+    normalised = model.get_vec_normalize_env()
+    return obs.copy() if normalised is None else normalised.get_original_obs()
+
+
+def newest_steps(
+    model: Any, step: Mapping[str, Any]
+) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
+    """Action (E, A), reward, next_obs (E, O), terminated, truncated (E,) in the task's own units.
+
+    `step` are the locals of a callback.
+    """
+    normalised, ended, infos = model.get_vec_normalize_env(), step["dones"], step["infos"]
+    reward = step["rewards"] if normalised is None else normalised.get_original_reward()
+    next_obs = newest_obs(model, step["new_obs"])
+    for env in np.flatnonzero(ended):
+        last = infos[env]["terminal_observation"]
+        next_obs[env] = last if normalised is None else normalised.unnormalize_obs(last)
+    cut = ended & np.array([info.get("TimeLimit.truncated", False) for info in infos])
+    return step.get("clipped_actions", step["actions"]), reward, next_obs, ended & ~cut, cut
+
+
+def logged(values: Mapping[str, Any]) -> dict[str, float]:
+    """The numbers that the library logs, but its times, under the names that they have here."""
+    numbers = {k: v for k, v in values.items() if isinstance(v, float | int | np.number)}
+    return {OURS.get(k, k): float(v) for k, v in numbers.items() if not k.startswith("time/")}

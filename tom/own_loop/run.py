@@ -281,13 +281,15 @@ class OwnRun:
     def evaluate(self, step: int, episodes: int = 3) -> None:
         """Play episodes of the last kept policy's mean actions in an environment of its own.
 
-        They are recorded as replays, with `eval/return`. This takes the loop's time.
+        They are recorded as replays, with `eval/return`; once a step. This takes the loop's time.
         """
         if self._policy is None:
             raise UserError("no policy has been kept yet: call policy before")
         if self._evaluator is None:
             self._evaluator = Evaluator(self._known, episodes)
         at, policy = self._at(step), StoredPolicy(self._policy[1])
+        if at == self._episodes[0]:
+            return
         self._evaluated(at, self._evaluator.run(policy.mean, at))
 
     def latest_weights(self, learner: str = "tom") -> NDArray[np.float32]:

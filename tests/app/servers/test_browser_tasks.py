@@ -287,17 +287,3 @@ def test_a_page_has_headings_in_order_and_names(page: "Page", path: str) -> None
         ).map((e) => e.outerHTML.slice(0, 200))"""
     )
     assert nameless == []
-
-
-def test_a_search_by_slash_and_help_by_question_mark(page: "Page") -> None:
-    page.goto("/curves")
-    page.locator(".runlist .section").first.wait_for()
-    page.wait_for_load_state("networkidle")
-    page.keyboard.press("/")
-    assert page.evaluate("document.activeElement.matches('[data-testid=stSidebar] input')")
-    page.keyboard.press("Escape")
-    page.evaluate("document.activeElement.blur()")
-    page.keyboard.press("?")
-    page.get_by_role("dialog", name="Shortcuts").wait_for()
-    page.keyboard.press("Escape")
-    page.get_by_role("dialog", name="Shortcuts").wait_for(state="hidden")
