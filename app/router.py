@@ -47,15 +47,16 @@ class View:
     def page(self) -> None:
         """Draw it, for the runs of the list at the left."""
         module = f"app.views.{self.name}"
-        if module not in sys.modules:
-            import_module(module)
+        first = module not in sys.modules
+        view = import_module(module)  # it waits while another browser's page imports it
+        if first:
             # Streamlit collects garbage after every drawing of a page or a part of it. The
             # libraries' 400 000 objects, which last as long as the process, would take 0.3 s of
             # that each time.
             gc.freeze()
         from app.parts import scope  # here: it imports the simulator
 
-        sys.modules[module].page(scope.draw())
+        view.page(scope.draw())
 
 
 PLAIN_ICON = ":material/extension:"
