@@ -17,7 +17,6 @@ from app.data.exams import Exams, ranking
 from tom.analysis import planes, scores, statistics
 from tom.analysis.curves import Curve
 from tom.analysis.statistics import RANKED, Interval
-from tom.data.sampling import bin_means
 from tom.readable import percent, score, short
 from tom.record.decode import Profiles
 from tom.record.reader import RunReader
@@ -91,15 +90,16 @@ class Side:
         return "1 run" if len(self.seeds) == 1 else f"{len(self.seeds)} runs"
 
 
-def newest_fifth(bins: Floats) -> float:
-    """The share of the weight on the newest fifth of the buffer, for any number of bins."""
-    fifths = bin_means(bins, 5)
-    return float(fifths[-1] / fifths.sum()) if fifths.sum() > 0 else float("nan")
-
-
 def newest_share(profiles: Profiles) -> Floats:
-    """`newest_fifth` at every fit, (F,)."""
-    return np.array([newest_fifth(bins) for bins in profiles.bins], np.float64)
+    """The share of the weight on the newest fifth of the buffer at every fit, (F,).
+
+    A bin across the border counts in proportion. NaN where no weight is above zero.
+    """
+    bins = profiles.bins
+    whole, part = divmod(4 * bins.shape[1], 5)
+    newest = bins[:, whole:].sum(1) - bins[:, whole : whole + 1].sum(1) * part / 5
+    total = bins.sum(1)
+    return np.divide(newest, total, out=np.full(len(bins), np.nan), where=total > 0)
 
 
 def where(side: Side) -> Answer:

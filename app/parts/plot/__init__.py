@@ -86,8 +86,20 @@ class View:
         return cls(x, y)
 
 
+@dataclass(frozen=True)
+class Drawn:
+    """A figure as the browser gets it, which a page may keep."""
+
+    json: str
+    height: int
+
+    @classmethod
+    def of(cls, figure: go.Figure) -> Self:
+        return cls(figure.to_json(remove_uids=False), int(figure.layout.height or 400))  # type: ignore[attr-defined]
+
+
 def chart(
-    figure: go.Figure,
+    figure: go.Figure | Drawn,
     key: str,
     label: str,
     clicked: Callable[[Point], None] | None = None,
@@ -125,8 +137,9 @@ def chart(
         if viewed is not None and message is not None:
             viewed(View.of(message))
 
+    drawn = figure if isinstance(figure, Drawn) else Drawn.of(figure)
     data = {
-        "figure": figure.to_json(remove_uids=False),
+        "figure": drawn.json,
         "library": LIBRARY_PATH,
         "label": label,
         "selects": selected is not None,
@@ -135,11 +148,10 @@ def chart(
         "linked": linked,
         "caption": caption,
     }
-    height = int(figure.layout.height or 400)  # type: ignore[attr-defined]
     renderer("plot", _HTML)(
         key=key,
         data=data,
-        height=height,
+        height=drawn.height,
         on_clicked_change=on_click,
         on_selected_change=on_select,
         on_viewed_change=on_view,

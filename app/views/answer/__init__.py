@@ -1,6 +1,7 @@
 """Answer: where a learner looks, whether that is where its policy goes, and whether it helps."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import streamlit as st
@@ -8,12 +9,13 @@ import streamlit as st
 from app import glossary, session, text
 from app.data import answer, buffer, readers
 from app.data.answer import Answer, Contrast, Side, newest_share
+from app.data.cache import VersionedCache
 from app.data.called import task
 from app.data.exams import exams_of
 from app.figures.base import across
 from app.figures.curves import Look, group_curves
 from app.parts import address, trainings_strip, widgets
-from app.parts.plot import Follow, chart
+from app.parts.plot import Drawn, Follow, chart
 from app.parts.scope import Scope
 from app.theme import learner_label
 from app.views.answer import exams, model_error
@@ -31,6 +33,20 @@ HEIGHT = 230
 SIGNS = {"yes": ":material/check_circle:", "no": ":material/cancel:",
          "unclear": ":material/help:", "unknown": ":material/hourglass_empty:"}  # fmt: skip
 QUESTIONS = ("Where does it look?", "Is that where the policy goes?", "Does it help?")
+
+
+@dataclass(frozen=True)
+class Card:
+    """One of the three cards: its answer, the page behind it, and its chart of `what`."""
+
+    answer: Answer
+    link: str
+    what: str
+    figure: Drawn | None
+    caption: str
+
+
+_MADE: VersionedCache[list[Card]] = VersionedCache()
 
 
 def page(scope: Scope) -> None:
@@ -109,86 +125,94 @@ def _uniform(run: RunReader) -> bool:
 def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
     listed = {run.run_id: run for run in readers.listing(session.links().store).runs}
     fresh = {t: [listed.get(run.run_id, run) for run in runs] for t, runs in groups.items()}
+    kinds = {scope.kinds[run.run_id] for runs in fresh.values() for run in runs}
+    # A fit that keeps its buffer has a profile as well.
+    version = tuple(
+        (run.path, run.version("facts"), run.version("metrics"), run.version("profiles"))
+        for runs in fresh.values()
+        for loop in runs
+        for run in dict.fromkeys((loop, readers.weighed(loop)))
+    )
+    key = tuple(fresh), frozenset((kind, scope.looks[kind]) for kind in kinds)
+    made = _MADE.get(key, lambda: _cards_of(scope, fresh), version)
+    for column, question, card in zip(st.columns(3), QUESTIONS, made, strict=True):
+        with column, st.container(border=True, height="stretch"):
+            _card(question, card)
+
+
+def _cards_of(scope: Scope, fresh: Mapping[str, Sequence[RunReader]]) -> list[Card]:
     sides = [_side(title, runs) for title, runs in fresh.items()]
-    env = next(iter(fresh.values()))[0].env
-    one = sides[0]
-    answers = [answer.where(one), answer.on_policy(one)]
-    if env == ROAD:
+    mine = next(iter(fresh.values()))
+    one, on_road = sides[0], mine[0].env == ROAD
+    where, on_policy = answer.where(one), answer.on_policy(one)
+    if on_road:
         if not one.uniform:
-            frames = [readers.metrics(run) for run in next(iter(fresh.values()))]
-            answers[0] = answer.on_road(one.name, frames)
-        answers[1] = Answer(
+            where = answer.on_road(one.name, [readers.metrics(run) for run in mine])
+        on_policy = Answer(
             "unknown", "Not asked here",
             "Road-and-rocks learns from a fixed data set: nothing is collected after a fit. "
             "Attention shows the weights on the map.",
         )  # fmt: skip
-    if any(readers.weighed(run) is not run for run in next(iter(fresh.values()))):
-        answers.append(
-            Answer("unknown", "Not asked here", "Nothing learns from live weights: they are "
-                   "computed beside a training loop.", "`run.latest_weights()` gives them to it.")
+    if any(readers.weighed(run) is not run for run in mine):
+        helps = Answer(
+            "unknown", "Not asked here", "Nothing learns from live weights: they are "
+            "computed beside a training loop.", "`run.latest_weights()` gives them to it.",
         )  # fmt: skip
     elif len(sides) > 1:
-        answers.append(answer.helps(one, sides[1]))
+        helps = answer.helps(one, sides[1])
     else:
-        answers.append(
-            Answer("unknown", "Cannot be told yet", "There is nothing to compare it with.",
-                   "Train MLE, which weighs all rows alike.")
+        helps = Answer(
+            "unknown", "Cannot be told yet", "There is nothing to compare it with.",
+            "Train MLE, which weighs all rows alike.",
         )  # fmt: skip
-    charts = (
-        (
-            _share_curves(scope, fresh) if env != ROAD else [],
-            "share of the weight on the newest fifth, %",
-            20.0,
-            "attention",
-        ),
-        (
-            _footprints(scope, fresh, sides),
-            "footprint: 1 is no nearer, 0 the policy",
-            1.0,
-            "attention",
-        ),
-        (_returns(scope, fresh), "return", None, "curves"),
+    shares = [] if on_road else _share_curves(scope, fresh)
+    newest, footprint = (
+        "share of the weight on the newest fifth, %",
+        "footprint: 1 is no nearer, 0 the policy",
     )
-    for column, question, one_answer, drawn in zip(
-        st.columns(3), QUESTIONS, answers, charts, strict=True
-    ):
-        with column, st.container(border=True, height="stretch"):
-            _card(question, one_answer, scope.looks, *drawn)
+    looks = scope.looks
+    return [
+        Card(where, "attention", newest, *_drawn(shares, newest, looks, 20.0)),
+        Card(
+            on_policy,
+            "attention",
+            footprint,
+            *_drawn(_footprints(scope, fresh, sides), footprint, looks, 1.0),
+        ),
+        Card(helps, "curves", "return", *_drawn(_returns(scope, fresh), "return", looks)),
+    ]
 
 
-def _card(
-    question: str,
-    answered: Answer,
-    looks: Mapping[Kind, Look],
-    groups: Sequence[Group],
-    what: str,
-    level: float | None,
-    link: str,
-) -> None:
+def _card(question: str, card: Card) -> None:
     st.subheader(question, anchor=False)
-    st.markdown(f"#### {SIGNS[answered.word]} {text.markdown(answered.verdict)}")
-    if groups:
-        figure = group_curves(groups, what, HEIGHT, singles=True, looks=looks)
-        figure.update_layout(showlegend=False, hovermode="closest")
-        if level is not None:
-            figure.add_shape(across(level, 1.2, "dash"))
-        st.caption(what)
+    st.markdown(f"#### {SIGNS[card.answer.word]} {text.markdown(card.answer.verdict)}")
+    if card.figure is not None:
+        st.caption(card.what)
         chart(
-            figure,
+            card.figure,
             f"answer {question}",
-            f"{what}, against env steps",
+            f"{card.what}, against env steps",
             follow=Follow(cursor=True),
-            caption=_caption(what, groups, looks),
+            caption=card.caption,
         )
-    st.markdown(glossary.linked(answered.sentence))
-    if answered.more:
-        st.caption(glossary.linked(answered.more))
-    widgets.link_to(link, f"See it on {link.capitalize()}")
+    st.markdown(glossary.linked(card.answer.sentence))
+    if card.answer.more:
+        st.caption(glossary.linked(card.answer.more))
+    widgets.link_to(card.link, f"See it on {card.link.capitalize()}")
 
 
-def _caption(what: str, groups: Sequence[Group], looks: Mapping[Kind, Look]) -> str:
+def _drawn(
+    groups: Sequence[Group], what: str, looks: Mapping[Kind, Look], level: float | None = None
+) -> tuple[Drawn | None, str]:
+    """The chart of a card, with a line at `level`, and the caption of a saved figure."""
+    if not groups:
+        return None, ""
+    figure = group_curves(groups, what, HEIGHT, singles=True, looks=looks)
+    figure.update_layout(showlegend=False, hovermode="closest")
+    if level is not None:
+        figure.add_shape(across(level, 1.2, "dash"))
     named = ", ".join(f"{looks[group.kind].title} (n = {group.n})" for group in groups)
-    return (
+    return Drawn.of(figure), (
         f"{what.capitalize()}, against env steps. Line: mean over seeds, band: 95 % bootstrap "
         f"interval, thin lines: single runs. {named}."
     )

@@ -12,12 +12,13 @@ from streamlit.testing.v1 import AppTest
 from studio_pages import array, captions, draw, figures, is_chart, parts, recorded
 from studio_runs import PENDULUM_TOM
 
-from app.data.answer import newest_fifth
+from app.data.answer import newest_share
 from app.figures.weights import FLOOR
 from app.parts import timeline
 from app.parts.plot import Point
 from app.views.attention import _go_to
 from tom.record import layout
+from tom.record.decode import Profiles
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
@@ -149,6 +150,7 @@ def test_a_run_whose_profiles_are_damaged_is_named(own: Path) -> None:
 
 @pytest.mark.parametrize("bins", [3, 7, 64, 100])
 def test_the_newest_fifth_is_a_fifth_for_any_number_of_bins(bins: int) -> None:
-    assert newest_fifth(np.ones(bins)) == pytest.approx(0.2)
-    assert newest_fifth(np.eye(bins)[-1]) == pytest.approx(min(1, 0.2 * bins))
-    assert np.isnan(newest_fifth(np.zeros(bins)))
+    weights = np.stack([np.ones(bins), np.eye(bins)[-1], np.zeros(bins)])
+    step = np.arange(3)
+    share = newest_share(Profiles(step, weights, step, step, step, step))
+    assert share == pytest.approx([0.2, min(1, 0.2 * bins), np.nan], nan_ok=True)
