@@ -114,25 +114,26 @@ def _weighed(weighing: Weighing, rows: int) -> None:
 
 def nearest(footprints: Mapping[str, Floats]) -> str:
     """Which learner's weights lie nearest to the policy, by how much, and whether that is more
-    than seeds of one learner differ; empty for fewer than two. `footprints` are (seeds,)."""
+    than seeds of one learner differ, which one seed cannot tell; empty for fewer than two learners.
+    `footprints` are (seeds,)."""
     finite = {name: of[np.isfinite(of)] for name, of in footprints.items()}
     found = sorted((float(np.median(v)), n) for n, v in finite.items() if len(v))
     if len(found) < 2:
         return ""
     (least, first), (more, second) = found[:2]
     one, other = (text.markdown(learner_label(name)) for name in (first, second))
-    sentence = (
+    apart = max((float(np.ptp(of)) for of in finite.values() if len(of) > 1), default=None)
+    if apart is None:
+        sure = "One seed each cannot tell whether that is chance"
+    else:
+        sure = (
+            f"That is {'more' if more - least > apart else 'no more'} than two seeds of one "
+            f"learner differ here (at most {readable.percent(apart, 0)})"
+        )
+    return (
         f"**{one} puts its weight nearest to the policy**: its weighted buffer keeps "
-        f"{readable.percent(least, 0)} of the distance to the policy's new steps, {other}'s, "
-        f"the next, {readable.percent(more, 0)}. "
-    )
-    if max(map(len, finite.values())) < 2:
-        return sentence + "With one seed of each, nobody knows whether that is more than chance."
-    apart = max(float(np.ptp(v)) for v in finite.values() if len(v))
-    sure = "more" if more - least > apart else "no more"
-    return sentence + (
-        f"That is {sure} than two seeds of one learner differ here (at most "
-        f"{readable.percent(apart, 0)})."
+        f"{readable.percent(least, 0)} of the distance to the policy's fresh episodes, {other}'s, "
+        f"the next, {readable.percent(more, 0)}. {sure}."
     )
 
 

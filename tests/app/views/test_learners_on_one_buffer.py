@@ -197,6 +197,11 @@ def test_a_gap_counts_if_it_is_wider_than_seeds_of_one_learner_differ() -> None:
     near, far = np.array([0.5, 0.52, np.nan]), np.array([0.9, 0.95])
     assert " is more than " in nearest({"tom": near, "mle": far})
     assert " is no more than " in nearest({"tom": near, "mle": far, "pmac": np.array([0.1, 0.6])})
+    one = nearest({"tom": near[:1], "mle": far[:1]})  # a single seed differs from none
+    assert "50 %" in one
+    assert " 0 %" not in one
+    assert "more than" not in one
+    assert "at most 2 %" in nearest({"tom": near, "mle": far[:1]})  # of those with two seeds
     assert nearest({"tom": near}) == nearest({"tom": near, "mle": far * np.nan}) == ""
 
 
