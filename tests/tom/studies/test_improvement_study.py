@@ -77,6 +77,18 @@ def test_weights_act_in_the_model_in_the_starts_or_in_both(run: RunReader):
     assert improved(trial(run, "newest")) == newest
 
 
+@pytest.mark.parametrize(
+    "way", ["policy-distance", "pdml", "action-ratio", pytest.param("pmer", marks=pytest.mark.slow)]
+)
+def test_ways_that_train_no_network_act_in_both_places_alone_and_half(run: RunReader, way: str):
+    plain = improved(trial(run, "uniform"))
+    alone, half = improved(trial(run, way)), improved(trial(run, f"half-{way}"))
+    for place in ("model", "starts"):
+        assert np.isfinite([alone[place], half[place]]).all()
+        assert len({plain["both"], alone[place], half[place]}) == 3, place
+    assert alone["both"] not in (alone["model"], alone["starts"])
+
+
 def test_weights_of_one_change_nothing_anywhere(run: RunReader, monkeypatch: pytest.MonkeyPatch):
     one = {"uniform_share": 1.0}
     monkeypatch.setitem(WAYS, "even", Way("ratio", {"model": one, "rollout": one}))
