@@ -1,8 +1,9 @@
 """How figures look: colours, style, files, and the weight profiles of an ordered buffer."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -64,6 +65,33 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
         figure.savefig(paths[0], dpi=150)
         figure.savefig(paths[1], metadata={"Date": None})
     return paths
+
+
+def strips(
+    colours: Mapping[str, str], points: Iterable[tuple[str, str, float]], even: float
+) -> Figure:
+    """One panel per task: the values of each row as points, their median as a stroke.
+
+    `points` are task, row and value; the rows lie from the top down in the order of `colours`. A
+    dashed line is where a way is as good as uniform weights.
+    """
+    values: dict[tuple[str, str], list[float]] = {}
+    for env, row, value in points:
+        values.setdefault((env, row), []).append(value)
+    envs = list(dict.fromkeys(env for env, _ in values))
+    upwards = [name for name in colours if any(row == name for _, row in values)][::-1]
+    figure = new_figure(2.2 + 2.6 * len(envs), 0.7 + 0.24 * max(len(upwards), 2))
+    axes = figure.subplots(1, len(envs), squeeze=False, sharey=True)[0]
+    for ax, env in zip(axes, envs, strict=True):
+        ax.axvline(even, color=NEUTRAL, linewidth=0.8, linestyle="--")
+        ax.set_title(env)
+        for height, name in enumerate(upwards):
+            of = values.get((env, name), ())
+            ax.scatter(of, [height] * len(of), s=14, color=colours[name], alpha=0.55, linewidths=0)
+            if of:
+                ax.plot([median(of)] * 2, [height - 0.35, height + 0.35], color=TEXT, linewidth=1.6)
+    axes[0].set_yticks(range(len(upwards)), upwards)
+    return figure
 
 
 @dataclass(frozen=True)

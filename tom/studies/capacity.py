@@ -7,7 +7,7 @@ on episodes that the kept policy of a step makes anew. Runs must be whole, or sm
 """
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from math import exp, log, nan
 from statistics import median
@@ -18,19 +18,18 @@ from matplotlib.figure import Figure
 
 from tom.errors import UserError
 from tom.reports.figures import NEUTRAL, learner_colour, log_ticks, new_figure
-from tom.studies.frozen import (
-    ERROR,
-    MODELS,
-    ROLLOUT_ERROR,
-    UNIFORM,
-    WAYS,
+from tom.studies.frozen import ERROR, MODELS, ROLLOUT_ERROR, UNIFORM, WAYS
+from tom.studies.moments import (
+    QUESTIONS,
     add_measuring,
+    comparisons,
+    findings,
     measured,
     models_of,
-    origin_of_moments,
+    ratios,
+    spanned,
 )
-from tom.studies.recordings import QUESTIONS, comparisons, spanned, trial_of
-from tom.studies.study import Findings, Lab, Row, Study, Table, check_known
+from tom.studies.study import Findings, Lab, Row, Study, check_known
 
 ASKED = ("recency", "half-recency", "ratio", "tom-discounted", "tom-mended", "half-tom-mended")
 AHEAD = {"one step": ERROR, "five steps": ROLLOUT_ERROR}
@@ -56,23 +55,8 @@ def find(args: Namespace, lab: Lab) -> Findings:
             "whose errors are compared: name the moments.csv of another report"
         )
     rows, pairs = summary(outcomes), head_to_head(outcomes)
-    return Findings(
-        said=verdict(rows, pairs),
-        files={"summary": rows, "head-to-head": pairs, "moments": outcomes},
-        figures={"capacity": (CAPTION, partial(capacity_figure, outcomes))},
-        tables=[Table("Every way", rows), Table("Two ways at the same moments", pairs)],
-        origin=origin_of_moments(outcomes, args.table),
-        json={"summary": rows},
-    )
-
-
-def ratios(outcomes: Sequence[Row], ahead: str) -> Iterator[tuple[str, str, float]]:
-    """(way, model, error relative to uniform weights at the same moment and seed)."""
-    base = {trial_of(one): one for one in outcomes if one["way"] == UNIFORM}
-    for one in outcomes:
-        if one["way"] != UNIFORM and (uniform := base.get(trial_of(one))):
-            for model in models_of([one]):
-                yield one["way"], model, one[ahead + model] / uniform[ahead + model]
+    figure = CAPTION, partial(capacity_figure, outcomes)
+    return findings(args, "capacity", verdict(rows, pairs), rows, outcomes, figure, pairs=pairs)
 
 
 def summary(outcomes: Sequence[Row]) -> list[Row]:
@@ -82,8 +66,8 @@ def summary(outcomes: Sequence[Row]) -> list[Row]:
     """
     values: dict[tuple[str, str], dict[str, list[float]]] = {}
     for name, ahead in AHEAD.items():
-        for way, model, ratio in ratios(outcomes, ahead):
-            values.setdefault((way, model), {}).setdefault(name, []).append(ratio)
+        for one, model, ratio in ratios(outcomes, ahead):
+            values.setdefault((one["way"], model), {}).setdefault(name, []).append(ratio)
     rows, ways = [], list(dict.fromkeys(one["way"] for one in outcomes))
     models = models_of(outcomes)
     for way, model in sorted(values, key=lambda pair: (ways.index(pair[0]), models.index(pair[1]))):
@@ -149,7 +133,7 @@ def capacity_figure(outcomes: Sequence[Row]) -> Figure:
     figure = new_figure(9.0, 3.4)
     axes = figure.subplots(1, len(AHEAD), sharey=True)
     for ax, (name, ahead) in zip(axes, AHEAD.items(), strict=True):
-        _draw(ax, list(ratios(outcomes, ahead)))
+        _draw(ax, [(one["way"], model, ratio) for one, model, ratio in ratios(outcomes, ahead)])
         ax.set_title(f"{name} ahead")
     axes[0].set_ylabel("error over that of uniform weights")
     axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))

@@ -14,11 +14,19 @@ from statistics import median
 import numpy as np
 from matplotlib.figure import Figure
 
-from tom.exams.energy import informative
-from tom.reports.figures import learner_colour, log_ticks, new_figure
-from tom.studies.frozen import UNIFORM, WAYS, add_measuring, measured, origin_of_moments
-from tom.studies.recordings import QUESTIONS, comparisons, over_recordings, spanned, strips
-from tom.studies.study import Findings, Lab, Row, Study, Table
+from tom.reports.figures import learner_colour, log_ticks, new_figure, strips
+from tom.studies.frozen import UNIFORM, WAYS
+from tom.studies.moments import (
+    QUESTIONS,
+    add_measuring,
+    comparisons,
+    findings,
+    measured,
+    over_recordings,
+    spanned,
+    telling,
+)
+from tom.studies.study import Findings, Lab, Row, Study
 
 LEAST = 0.03
 """distances below it are drawn at it: the axis is logarithmic"""
@@ -36,22 +44,11 @@ def add_options(parser: ArgumentParser) -> None:
 
 def find(args: Namespace, lab: Lab) -> Findings:
     outcomes = measured(args, lab)
-    rows, pairs = summary(outcomes), head_to_head(outcomes)
-    return Findings(
-        said=verdict(outcomes),
-        files={"summary": rows, "head-to-head": pairs, "moments": outcomes},
-        figures={"footprint": (CAPTION, partial(footprint_figure, outcomes))},
-        tables=[Table("Every way", rows), Table("Two ways at the same moments", pairs)],
-        origin=origin_of_moments(outcomes, args.table),
-        json={"summary": rows},
+    figure = CAPTION, partial(footprint_figure, outcomes)
+    pairs = head_to_head(outcomes)
+    return findings(
+        args, "footprint", verdict(outcomes), summary(outcomes), outcomes, figure, pairs=pairs
     )
-
-
-def telling(outcomes: Sequence[Row]) -> list[Row]:
-    """The outcomes whose distance was measured and is not lost in its noise (`informative`)."""
-    says = informative([one["footprint_noise"] for one in outcomes])
-    both = zip(outcomes, says, strict=True)
-    return [one for one, kept in both if kept and np.isfinite(one["footprint"])]
 
 
 def summary(outcomes: Sequence[Row]) -> list[Row]:
@@ -140,23 +137,19 @@ def _moments(outcomes: Sequence[Row]) -> set[tuple[str, int]]:
 
 def footprint_figure(outcomes: Sequence[Row]) -> Figure:
     """One panel per task: distance to the policy relative to uniform weights, log axis."""
-    outcomes = telling(outcomes)
-    values: dict[tuple[str, str], list[float]] = {}
-    for one in (one for one in outcomes if one["way"] != UNIFORM):
-        values.setdefault((one["env"], one["way"]), []).append(max(one["footprint"], LEAST))
-    if not values:
+    drawn = [one for one in telling(outcomes) if one["way"] != UNIFORM]
+    if not drawn:
         figure = new_figure(4.0, 1.0)
         figure.text(0.5, 0.5, "every distance is lost in noise", ha="center", va="center")
         return figure
-    used = {way for _, way in values}
-    colours = {way: learner_colour(WAYS[way].learner or "") for way in WAYS if way in used}
-    envs = list(dict.fromkeys(env for env, _ in values))
-    figure = strips(envs, colours, values, 1.0)
+    colours = {name: learner_colour(way.learner or "") for name, way in WAYS.items()}
+    points = [(one["env"], one["way"], max(one["footprint"], LEAST)) for one in drawn]
+    figure = strips(colours, points, 1.0)
     for ax in figure.axes:
         ax.set_xscale("log")
         log_ticks(ax.xaxis, [0.1, 0.2, 0.5, 1, 2, 4])
     what = "distance to the policy's footprint over that of uniform weights"
-    cut = any(one["footprint"] < LEAST for one in outcomes)
+    cut = any(one["footprint"] < LEAST for one in drawn)
     figure.supxlabel(what + f" (drawn at {LEAST} if below it)" * cut, size=9)
     return figure
 

@@ -6,9 +6,7 @@ The learner gets the same information as online, the newest transitions of a cha
 tested on fresh episodes of the policy of that fit.
 """
 
-import json
-from argparse import ArgumentParser, Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import inf
@@ -16,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import torch
 from torch import Tensor
 
@@ -27,29 +24,17 @@ from tom.data.datasets import initial_obs
 from tom.data.sampling import ess
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import DynamicsModel
-from tom.envs import ENVS, ROAD, task, task_rank
-from tom.errors import UserError, reason
+from tom.envs import task
+from tom.errors import UserError
 from tom.exams.diagnostics import one_step_error, rollout_error, step_scale, unbroken
 from tom.exams.energy import footprint_match, step_scaling
 from tom.learners import follows_behaviour
 from tom.learners.base import Weighting
 from tom.policy.collect import footprint
 from tom.policy.stored import StoredPolicy, read_policy
-from tom.record import RunReader, Store, layout
-from tom.reports.report import WORDS
-from tom.reports.report import seeds as in_short
+from tom.record import RunReader, layout
 from tom.rng import Streams
-from tom.studies.study import (
-    Lab,
-    Row,
-    add_env,
-    add_jobs,
-    add_store,
-    check_known,
-    say,
-    tasks,
-    whole,
-)
+from tom.studies.study import Row, say
 from tom.training.presets import resolve
 
 NEWEST = 1000  # rows of the policy buffer
@@ -65,43 +50,56 @@ class Way:
     learner: str | None
     settings: Mapping[str, Any] = field(default_factory=dict)
     preset: str = "paper"
+    label: str = ""
+    """its name for people; without one it is a variant of a flow, and only tables name it"""
+    half: bool = False
+    """half of its weight is uniform"""
 
 
 def _tom(**settings: Any) -> Way:
     return Way("tom", {"tom": settings})
 
 
-VALIDATED: Mapping[str, Any] = {"q_holdout": 0.2, "q_steps": 2000, "q_check_every": 25}
-HALF: Mapping[str, Any] = {"model": {"uniform_share": 0.5}, "rollout": {"uniform_share": 0.5}}
+def _with_halves(ways: Mapping[str, Way], halved: Container[str]) -> Iterator[tuple[str, Way]]:
+    """The ways, and after each of `halved` the same mixed half and half with uniform weights."""
+    share = {"uniform_share": 0.5}
+    for name, way in ways.items():
+        yield name, way
+        if name in halved:
+            label = f"half {way.label.partition(' (')[0]}, half uniform"
+            mixed = {"model": share, "rollout": share}
+            yield f"half-{name}", replace(way, settings=mixed, label=label, half=True)
 
-WAYS: dict[str, Way] = {
-    UNIFORM: Way("mle"),
-    "newest": Way(None),
-    "recency": Way("pmac"),
-    "half-recency": Way("pmac", HALF),
-    "vagram": Way("vagram"),
-    "ratio": Way("ratio"),
-    "half-ratio": Way("ratio", HALF),
-    "pdml": Way("pdml"),
-    "half-pdml": Way("pdml", HALF),
-    "policy-distance": Way("policy-distance"),
-    "half-policy-distance": Way("policy-distance", HALF),
-    "pmer": Way("pmer"),
-    "half-pmer": Way("pmer", HALF),
-    "action-ratio": Way("action-ratio"),
-    "half-action-ratio": Way("action-ratio", HALF),
-    "tom-released": Way("tom", preset="released"),
-    "tom-discounted": _tom(q_reset=True),
-    "tom-discounted-validated": _tom(**VALIDATED),
-    "tom-restart": _tom(q_reset=True, flow="restart"),
-    "tom-restart-validated": _tom(flow="restart", **VALIDATED),
-    "tom-stationary": _tom(q_reset=True, flow="stationary"),
-    "tom-stationary-validated": _tom(flow="stationary", **VALIDATED),
-    "tom-stationary-kl": _tom(q_reset=True, flow="stationary", divergence="kl"),
-    "tom-mended": Way("tom", preset="mended"),
-    "half-tom-mended": Way("tom", HALF, preset="mended"),
-}
-"""half: mixed half and half with uniform weights; Q starts anew except in the recorded run"""
+
+VALIDATED: Mapping[str, Any] = {"q_holdout": 0.2, "q_steps": 2000, "q_check_every": 25}
+PRINTED, MENDED = "tom-discounted", "tom-mended"
+
+WAYS: dict[str, Way] = dict(
+    _with_halves(
+        {
+            UNIFORM: Way("mle", label="MLE (uniform)"),
+            "newest": Way(None, label="newest seventh"),
+            "recency": Way("pmac", label="PMAC (recency)"),
+            "vagram": Way("vagram", label="VaGram"),
+            "ratio": Way("ratio", label="ratio"),
+            "pdml": Way("pdml", label="PDML"),
+            "policy-distance": Way("policy-distance", label="policy distance"),
+            "pmer": Way("pmer", label="PMER"),
+            "action-ratio": Way("action-ratio", label="action ratio"),
+            "tom-released": Way("tom", preset="released", label="TOM as released"),
+            PRINTED: replace(_tom(q_reset=True), label="TOM as printed"),
+            "tom-discounted-validated": _tom(**VALIDATED),
+            "tom-restart": _tom(q_reset=True, flow="restart"),
+            "tom-restart-validated": _tom(flow="restart", **VALIDATED),
+            "tom-stationary": _tom(q_reset=True, flow="stationary"),
+            "tom-stationary-validated": _tom(flow="stationary", **VALIDATED),
+            "tom-stationary-kl": _tom(q_reset=True, flow="stationary", divergence="kl"),
+            MENDED: Way("tom", preset="mended", label="TOM mended"),
+        },
+        {"recency", "ratio", "pdml", "policy-distance", "pmer", "action-ratio", MENDED},
+    )
+)
+"""Q starts anew except in the recorded run"""
 
 MODELS: dict[str, Mapping[str, Any]] = {
     "linear": {"kind": "linear"},
@@ -272,139 +270,3 @@ def fitted(
 ) -> DynamicsModel:
     """The model `name` of MODELS, fitted to the rows with these weights."""
     return fit_model(rows, weighting, config.model.but(**MODELS[name]), config.seed)
-
-
-# The choice of moments, and the table of their outcomes.
-
-OF_MEASURING = ("env", "moments", "seeds", "ways", "store", "jobs", "rows", "models")
-"""the options that say what is measured and how"""
-KINDS: Mapping[Any, Any] = {"recording": str, "env": str, "step": int, "way": str, "seed": int}
-MEASURES = ("ess", "ends", "ends_policy", "footprint", "footprint_uniform", "footprint_noise")
-"""the columns of an outcome: the types of those that are no measures, and the measures"""
-MEASURED = "measured: "
-"""begins what a report that was made anew says of the origin of its outcomes"""
-
-
-def add_moments(parser: ArgumentParser, ways: Sequence[str]) -> None:
-    """Add the options that choose runs, their moments, and ways of weighing."""
-    parser.add_argument("runs", nargs="*", metavar="RUN", help="[all of the store that can]")
-    add_env(parser, list(ENVS), "[all of ours]")
-    parser.add_argument("--moments", type=whole(1), default=8, help="of each run at most [8]")
-    parser.add_argument("--seeds", nargs="+", type="seed", default=[0], help="[0]")
-    known = ", ".join(WAYS)
-    parser.add_argument("--ways", nargs="+", default=list(ways), metavar="WAY", help=known)
-    add_store(parser)
-    add_jobs(parser)
-
-
-def chosen_ways(args: Namespace) -> list[str]:
-    """The ways of weighing, uniform weights first. Raises UserError for an unknown one."""
-    check_known("way of weighing", args.ways, WAYS)
-    return list(dict.fromkeys((UNIFORM, *args.ways)))
-
-
-def chosen_runs(args: Namespace) -> list[RunReader]:
-    """The runs with moments, of any task.
-
-    Raises UserError if there are none, or a named run has none or is of a task that is not known.
-    """
-    store, envs = Store(args.store), tasks(args.env)
-    named = [store.run(name) for name in args.runs]
-    for run in named:
-        if not _usable(run):
-            raise UserError(
-                f"run {run.run_id} has no moment: it kept no policy of its fits, or no buffer, or "
-                f"it ended less than {NEWEST:,} steps after its exploration"
-            )
-        task(run.env)
-    runs = named or [run for run in store.runs() if run.env in envs and _usable(run)]
-    if not runs:
-        raise UserError(
-            f"{args.store}/ has no run with a buffer and policies of fits at least {NEWEST:,} "
-            "steps after exploration: "
-            f"tom record-sac --env {min(envs, key=task_rank)} --steps 20000 makes one"
-        )
-    return sorted(runs, key=lambda run: (task_rank(run.env), run.run_id))
-
-
-def _usable(run: RunReader) -> bool:
-    has_both = not {"buffer", "policies"} & set(run.left_out)
-    return run.is_run and run.env != ROAD and has_both and bool(moments(run, 1))
-
-
-def add_measuring(parser: ArgumentParser, ways: Sequence[str], models: Sequence[str] = ()) -> None:
-    """Add the options of a study that weighs moments, or reads the table of one that did."""
-    add_moments(parser, ways)
-    parser.add_argument("--rows", type=whole(100), default=6000, help="new transitions [6000]")
-    if models:
-        known = ", ".join(f"'{name}'" for name in models)
-        parser.add_argument("--models", nargs="+", default=list(models), help=f"[{known}]")
-    parser.set_defaults(usual={name: parser.get_default(name) for name in OF_MEASURING})
-    parser.add_argument(
-        "--from", dest="table", type=Path, metavar="FILE",
-        help="moments.csv of an earlier report: only its tables and figures are made anew",
-    )  # fmt: skip
-
-
-def measured(args: Namespace, lab: Lab, models: Sequence[str] = ()) -> list[Row]:
-    """The outcome of every case, or those of an earlier report.
-
-    Raises UserError for options that have no meaning if nothing is measured.
-    """
-    if not args.table:
-        asked = cases(
-            chosen_runs(args), chosen_ways(args), args.seeds, args.moments, models, args.rows
-        )
-        return lab.compute(
-            examined, asked, lambda one: f"{one['recording']} at {one['step']}: {one['way']}"
-        )
-    given = [name for name, usual in args.usual.items() if getattr(args, name, None) != usual]
-    if too_many := [*(f"--{option}" for option in given), *args.runs]:
-        raise UserError(
-            "--from takes all that its file holds, as it was measured: leave out "
-            f"{' '.join(too_many)}"
-        )
-    return read_outcomes(args.table, bool(models))
-
-
-def read_outcomes(path: Path, models: bool) -> list[Row]:
-    """The outcomes of `moments.csv` beside a report, to the bit.
-
-    Raises UserError if `path` cannot be read, is no such table, or lacks the errors of `models`.
-    """
-    try:
-        table = pd.read_csv(path, dtype=KINDS, float_precision="round_trip")
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error}") from error
-    except ValueError as error:
-        raise UserError(f"{path} is no moments.csv of this study ({reason(error)})") from error
-    outcomes = [dict(row) for row in table.to_dict("records")]
-    lacking = {*KINDS, *MEASURES}.difference(table) or table.empty
-    if lacking or (models and not models_of(outcomes)):
-        raise UserError(f"{path} has no outcome of this study: name the moments.csv of its report")
-    return outcomes
-
-
-def models_of(outcomes: Sequence[Row]) -> list[str]:
-    """The models whose errors the outcomes have."""
-    columns = dict.fromkeys(name for one in outcomes for name in one if name.startswith(ERROR))
-    return [name.removeprefix(ERROR) for name in columns]
-
-
-def origin_of_moments(outcomes: Sequence[Row], table: Path | None = None) -> dict[str, str]:
-    """The number of moments, the seeds and runs, and how a table was measured that was read."""
-    recordings = dict.fromkeys(one["recording"] for one in outcomes)
-    origin = {
-        "n": f"{len({(one['recording'], one['step']) for one in outcomes})} moments of "
-        f"{len(recordings)} runs",
-        "seeds": in_short([one["seed"] for one in outcomes]),
-        "runs": ", ".join(recordings),
-    }
-    if table is None:
-        return origin
-    try:  # the report beside it
-        old = dict(json.loads((table.parent / WORDS).read_text())["origin"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return origin
-    first = {key: text for key, text in old.items() if key.startswith(MEASURED)}
-    return origin | (first or {MEASURED + key: text for key, text in old.items()})

@@ -44,26 +44,31 @@ from tom.policy.rollout import mixed_batches, roll_out, start_states
 from tom.policy.sac import Sac
 from tom.policy.stored import CRITIC, StoredPolicy, resumed_sac
 from tom.record import RunReader, layout
-from tom.reports.figures import learner_colour
+from tom.reports.figures import learner_colour, strips
 from tom.rng import Streams
 from tom.studies.frozen import (
     MODELS,
     UNIFORM,
     WAYS,
     Case,
-    add_moments,
     buffer_at,
     cases,
-    chosen_runs,
-    chosen_ways,
     config_of,
     fitted,
-    origin_of_moments,
     sac_begins,
     weighting_of,
 )
-from tom.studies.recordings import Value, sign_test, strips, trial_of
-from tom.studies.study import Findings, Lab, Row, Study, Table, check_known, whole
+from tom.studies.moments import (
+    Value,
+    add_moments,
+    chosen_runs,
+    chosen_ways,
+    findings,
+    sign_test,
+    told,
+    trial_of,
+)
+from tom.studies.study import Findings, Lab, Row, Study, check_known, whole
 
 PARTS = 5
 """evaluations of the policy, evenly spread over its updates"""
@@ -96,18 +101,11 @@ def find(args: Namespace, lab: Lab) -> Findings:
     runs, ways = _runs(args), chosen_ways(args)
     asked = cases(runs, ways, args.seeds, args.moments, (args.model,))
     trials = lab.compute(
-        improved,
-        [Trial(case, args.updates, args.episodes) for case in asked],
-        lambda one: f"{one['recording']} at {one['step']}: {one['way']}",
+        improved, [Trial(case, args.updates, args.episodes) for case in asked], told
     )
-    rows = summary(trials)
-    return Findings(
-        said=verdict(trials, rows),
-        files={"summary": rows, "moments": trials},
-        figures={"improvement": (CAPTION, partial(improvement_figure, trials))},
-        tables=[Table("Against uniform weights", rows)],
-        origin=origin_of_moments(trials),
-        json={"summary": rows},
+    rows, figure = summary(trials), (CAPTION, partial(improvement_figure, trials))
+    return findings(
+        args, "improvement", verdict(trials, rows), rows, trials, figure, "Against uniform weights"
     )
 
 
@@ -350,16 +348,19 @@ def _noise(trials: Sequence[Row]) -> str:
 
 def improvement_figure(trials: Sequence[Row]) -> Figure:
     """A row for every way and each place where its weights act."""
-    ways = [way for way in WAYS if way != UNIFORM and any(one["way"] == way for one in trials)]
-    rows, values = {}, {}
-    for way in ways:
-        for place in PLACES:
-            name = f"{way}, {place}"
-            rows[name] = learner_colour(WAYS[way].learner or "")
-            for env, _, gap in gaps(trials, way, place):
-                values.setdefault((env, name), []).append(gap)
-    envs = list(dict.fromkeys(one["env"] for one in trials))
-    figure = strips(envs, rows, values, 0.0)
+    colours = {
+        f"{name}, {place}": learner_colour(way.learner or "")
+        for name, way in WAYS.items()
+        for place in PLACES
+    }
+    points = [
+        (env, f"{name}, {place}", gap)
+        for name in WAYS
+        if name != UNIFORM
+        for place in PLACES
+        for env, _, gap in gaps(trials, name, place)
+    ]
+    figure = strips(colours, points, 0.0)
     for ax in figure.axes:
         ax.set_xscale("symlog", linthresh=100)
     figure.supxlabel("return less that with uniform weights", size=9)

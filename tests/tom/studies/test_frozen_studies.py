@@ -27,7 +27,7 @@ from tom.studies.frozen import (
     examined,
     moments,
 )
-from tom.studies.recordings import sign_test
+from tom.studies.moments import sign_test
 from tom.studies.study import Row
 from tom.training.presets import resolve
 from tom.training.run import train

@@ -1,0 +1,337 @@
+"""One study of moments with three measures: what `footprint`, `capacity` and `improvement` share.
+
+Their options, the table of their outcomes (`moments.csv`), and statistics in which the recordings
+count: moments of one recording are alike. What a moment is, and the ways of weighing, are in
+`tom.studies.frozen`.
+"""
+
+import json
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from math import isfinite, nan
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import pandas as pd
+from scipy.stats import binomtest
+
+from tom.analysis.statistics import Interval, interval, mean
+from tom.envs import ENVS, ROAD, task, task_rank
+from tom.errors import UserError, reason
+from tom.exams.energy import informative
+from tom.record import RunReader, Store
+from tom.reports.report import WORDS
+from tom.reports.report import seeds as in_short
+from tom.studies.frozen import ERROR, NEWEST, UNIFORM, WAYS, cases, examined, moments
+from tom.studies.study import (
+    Findings,
+    Lab,
+    Row,
+    Table,
+    add_env,
+    add_jobs,
+    add_store,
+    check_known,
+    tasks,
+    whole,
+)
+
+if TYPE_CHECKING:  # the studio reads outcomes without loading matplotlib
+    from matplotlib.figure import Figure
+
+OF_MEASURING = ("env", "moments", "seeds", "ways", "store", "jobs", "rows", "models")
+"""the options that say what is measured and how"""
+KINDS: Mapping[Any, Any] = {"recording": str, "env": str, "step": int, "way": str, "seed": int}
+MEASURES = ("ess", "ends", "ends_policy", "footprint", "footprint_uniform", "footprint_noise")
+"""the columns of an outcome: the types of those that are no measures, and the measures"""
+MEASURED = "measured: "
+"""begins what a report that was made anew says of the origin of its outcomes"""
+
+
+def add_moments(parser: ArgumentParser, ways: Sequence[str]) -> None:
+    """Add the options that choose runs, their moments, and ways of weighing."""
+    parser.add_argument("runs", nargs="*", metavar="RUN", help="[all of the store that can]")
+    add_env(parser, list(ENVS), "[all of ours]")
+    parser.add_argument("--moments", type=whole(1), default=8, help="of each run at most [8]")
+    parser.add_argument("--seeds", nargs="+", type="seed", default=[0], help="[0]")
+    known = ", ".join(WAYS)
+    parser.add_argument("--ways", nargs="+", default=list(ways), metavar="WAY", help=known)
+    add_store(parser)
+    add_jobs(parser)
+
+
+def chosen_ways(args: Namespace) -> list[str]:
+    """The ways of weighing, uniform weights first. Raises UserError for an unknown one."""
+    check_known("way of weighing", args.ways, WAYS)
+    return list(dict.fromkeys((UNIFORM, *args.ways)))
+
+
+def chosen_runs(args: Namespace) -> list[RunReader]:
+    """The runs with moments, of any task.
+
+    Raises UserError if there are none, or a named run has none or is of a task that is not known.
+    """
+    store, envs = Store(args.store), tasks(args.env)
+    named = [store.run(name) for name in args.runs]
+    for run in named:
+        if not _usable(run):
+            raise UserError(
+                f"run {run.run_id} has no moment: it kept no policy of its fits, or no buffer, or "
+                f"it ended less than {NEWEST:,} steps after its exploration"
+            )
+        task(run.env)
+    runs = named or [run for run in store.runs() if run.env in envs and _usable(run)]
+    if not runs:
+        raise UserError(
+            f"{args.store}/ has no run with a buffer and policies of fits at least {NEWEST:,} "
+            "steps after exploration: "
+            f"tom record-sac --env {min(envs, key=task_rank)} --steps 20000 makes one"
+        )
+    return sorted(runs, key=lambda run: (task_rank(run.env), run.run_id))
+
+
+def _usable(run: RunReader) -> bool:
+    has_both = not {"buffer", "policies"} & set(run.left_out)
+    return run.is_run and run.env != ROAD and has_both and bool(moments(run, 1))
+
+
+def add_measuring(parser: ArgumentParser, ways: Sequence[str], models: Sequence[str] = ()) -> None:
+    """Add the options of a study that weighs moments, or reads the table of one that did."""
+    add_moments(parser, ways)
+    parser.add_argument("--rows", type=whole(100), default=6000, help="new transitions [6000]")
+    if models:
+        known = ", ".join(f"'{name}'" for name in models)
+        parser.add_argument("--models", nargs="+", default=list(models), help=f"[{known}]")
+    parser.set_defaults(usual={name: parser.get_default(name) for name in OF_MEASURING})
+    parser.add_argument(
+        "--from", dest="table", type=Path, metavar="FILE",
+        help="moments.csv of an earlier report: only its tables and figures are made anew",
+    )  # fmt: skip
+
+
+def measured(args: Namespace, lab: Lab, models: Sequence[str] = ()) -> list[Row]:
+    """The outcome of every case, or those of an earlier report.
+
+    Raises UserError for options that have no meaning if nothing is measured.
+    """
+    if not args.table:
+        asked = cases(
+            chosen_runs(args), chosen_ways(args), args.seeds, args.moments, models, args.rows
+        )
+        return lab.compute(examined, asked, told)
+    given = [name for name, usual in args.usual.items() if getattr(args, name, None) != usual]
+    if too_many := [*(f"--{option}" for option in given), *args.runs]:
+        raise UserError(
+            "--from takes all that its file holds, as it was measured: leave out "
+            f"{' '.join(too_many)}"
+        )
+    return read_outcomes(args.table, bool(models))
+
+
+def told(one: Row) -> str:
+    """Names an outcome in the line of progress."""
+    return f"{one['recording']} at {one['step']}: {one['way']}"
+
+
+def read_outcomes(path: Path, models: bool) -> list[Row]:
+    """The outcomes of `moments.csv` beside a report, to the bit.
+
+    Raises UserError if `path` cannot be read, is no such table, or lacks the errors of `models`.
+    """
+    try:
+        table = pd.read_csv(path, dtype=KINDS, float_precision="round_trip")
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error}") from error
+    except ValueError as error:
+        raise UserError(f"{path} is no moments.csv of this study ({reason(error)})") from error
+    outcomes = [dict(row) for row in table.to_dict("records")]
+    lacking = {*KINDS, *MEASURES}.difference(table) or table.empty
+    if lacking or (models and not models_of(outcomes)):
+        raise UserError(f"{path} has no outcome of this study: name the moments.csv of its report")
+    return outcomes
+
+
+def models_of(outcomes: Sequence[Row]) -> list[str]:
+    """The models whose errors the outcomes have."""
+    columns = dict.fromkeys(name for one in outcomes for name in one if name.startswith(ERROR))
+    return [name.removeprefix(ERROR) for name in columns]
+
+
+def findings(
+    args: Namespace,
+    name: str,
+    said: Sequence[str],
+    rows: Sequence[Row],
+    outcomes: Sequence[Row],
+    figure: tuple[str, "Callable[[], Figure]"],
+    title: str = "Every way",
+    pairs: Sequence[Row] | None = None,
+) -> Findings:
+    """What a study of moments found: `rows` is its summary, `pairs` are questions of two ways."""
+    of_pairs = {} if pairs is None else {"head-to-head": pairs}
+    tables = [Table("Two ways at the same moments", table) for table in of_pairs.values()]
+    return Findings(
+        said=said,
+        files={"summary": rows, **of_pairs, "moments": outcomes},
+        figures={name: figure},
+        tables=[Table(title, rows), *tables],
+        origin=_origin(outcomes, getattr(args, "table", None)),
+        json={"summary": rows},
+    )
+
+
+def _origin(outcomes: Sequence[Row], table: Path | None) -> dict[str, str]:
+    """The number of moments, the seeds and runs, and how a table was measured that was read."""
+    recordings = dict.fromkeys(one["recording"] for one in outcomes)
+    origin = {
+        "n": f"{len({(one['recording'], one['step']) for one in outcomes})} moments of "
+        f"{len(recordings)} runs",
+        "seeds": in_short([one["seed"] for one in outcomes]),
+        "runs": ", ".join(recordings),
+    }
+    if table is None:
+        return origin
+    try:  # the report beside it
+        old = dict(json.loads((table.parent / WORDS).read_text())["origin"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return origin
+    first = {key: text for key, text in old.items() if key.startswith(MEASURED)}
+    return origin | (first or {MEASURED + key: text for key, text in old.items()})
+
+
+# What is measured at a moment.
+
+
+def telling(outcomes: Sequence[Row]) -> list[Row]:
+    """The outcomes whose distance was measured and is not lost in its noise (`informative`)."""
+    says = informative([one["footprint_noise"] for one in outcomes])
+    both = zip(outcomes, says, strict=True)
+    return [one for one, kept in both if kept and isfinite(one["footprint"])]
+
+
+def ratios(outcomes: Sequence[Row], ahead: str) -> Iterator[tuple[Row, str, float]]:
+    """(outcome, model, its error relative to uniform weights at the same moment and seed)."""
+    base = {trial_of(one): one for one in outcomes if one["way"] == UNIFORM}
+    for one in outcomes:
+        if one["way"] != UNIFORM and (uniform := base.get(trial_of(one))):
+            for model in models_of([one]):
+                yield one, model, one[ahead + model] / uniform[ahead + model]
+
+
+def trial_of(one: Row) -> tuple[str, int, int]:
+    """What two ways of weighing share: recording, step and seed."""
+    return one["recording"], one["step"], one["seed"]
+
+
+# Statistics over recordings.
+
+Value = tuple[str, str, float]
+"""task, recording, and a value at one of its moments"""
+
+QUESTIONS: dict[tuple[str, str], str] = {
+    ("tom-discounted", "uniform"): "Is TOM as printed better than no weights?",
+    ("tom-mended", "uniform"): "Is the mended one?",
+    ("half-tom-mended", "uniform"): "Is it, if half of its weight is uniform?",
+    ("half-recency", "uniform"): "Is recency, if half of its weight is uniform?",
+    ("tom-mended", "tom-discounted"): "Is the mended objective better than the printed one?",
+    ("tom-mended", "ratio"): "Does Q bring something on top of the discriminator?",
+    ("tom-mended", "recency"): "Is TOM better than recency, which trains no network?",
+    ("half-tom-mended", "half-recency"): "Is it better than recency, if half of either is uniform?",
+    ("policy-distance", "recency"): "Is the policy's distance at each row better than recency?",
+    ("policy-distance", "tom-mended"): "Is it better than TOM mended, which trains two networks?",
+    ("policy-distance", "uniform"): "Is it better than no weights?",
+    ("pmer", "uniform"): "Are rows of large error better than no weights?",
+    ("tom-stationary-validated", "tom-stationary"): "Is it better to stop Q on held-out episodes?",
+    ("tom-stationary-validated", "tom-discounted-validated"): "Does the flow matter?",
+}
+"""what is asked of two ways: the first one, and the one that it has to beat
+
+Those of policy distance and PMER were written down on 2026-11-27, before any result was read: on
+the same moments, is policy distance nearer to the policy (`footprint`) than recency and `mended`,
+and is the error of its model there lower than that of uniform weights at 200 x 4 (`capacity`)? Does
+PMER lower that error?
+"""
+
+
+class Signs(NamedTuple):
+    """On how many of `n` recordings a difference is above zero, and the sign test's p."""
+
+    above: int
+    n: int
+    p: float
+
+
+def sign_test(differences: Iterable[Value]) -> Signs:
+    """Exact two-sided sign test over recordings; one counts by most of its moments.
+
+    Recordings with as many moments above as below zero do not count. Unlike a bootstrap interval it
+    is right for few recordings.
+    """
+    balance: dict[tuple[str, str], int] = {}
+    for env, recording, value in differences:
+        sign = (value > 0) - (value < 0)
+        balance[env, recording] = balance.get((env, recording), 0) + sign
+    above, n = sum(v > 0 for v in balance.values()), sum(v != 0 for v in balance.values())
+    return Signs(above, n, float(binomtest(above, n).pvalue) if n else 1.0)
+
+
+def over_recordings(values: Iterable[Value]) -> Interval:
+    """Mean over tasks of the mean over recordings of the median over moments.
+
+    The bootstrap interval resamples recordings within each task; its bounds are NaN if a task has
+    only one. Raises ValueError if there is no value.
+    """
+    moments: dict[str, dict[str, list[float]]] = {}
+    for env, recording, value in values:
+        moments.setdefault(env, {}).setdefault(recording, []).append(value)
+    return interval([[median(of) for of in each.values()] for each in moments.values()], mean)
+
+
+def comparisons(
+    outcomes: Sequence[Row],
+    value: Callable[[Row], float],
+    measure: str,
+    better_at: str,
+    **more: str,
+) -> Iterator[Row]:
+    """A row for each of `QUESTIONS`, over the moments that both ways were examined at.
+
+    `value` is what is compared, lower is better; moments where it is NaN do not count. The
+    difference at a moment is the median over seeds. `measure` and `better_at` are the titles of the
+    difference, which is a mean over tasks, and of the moments where the first way is better; the
+    difference in each task is under its name, NaN without a moment there.
+    """
+    at = {(one["way"], *trial_of(one)): value(one) for one in outcomes}
+    envs = dict.fromkeys(one["env"] for one in outcomes)
+    for way, against in QUESTIONS:
+        trials: dict[tuple[str, str, int], list[float]] = {}
+        for one in outcomes:
+            gap = value(one) - at.get((against, *trial_of(one)), nan)
+            if one["way"] == way and isfinite(gap):
+                trials.setdefault((one["env"], one["recording"], one["step"]), []).append(gap)
+        gaps: list[Value] = [(env, run, median(each)) for (env, run, _), each in trials.items()]
+        if not gaps:
+            continue
+        whole, signs = over_recordings(gaps), sign_test(gaps)
+        in_task = {env: [gap for gap in gaps if gap[0] == env] for env in envs}
+        yield {
+            "way": way,
+            "against": against,
+            **more,
+            measure: whole.value,
+            "low": whole.low,
+            "high": whole.high,
+            better_at: sum(gap < 0 for _, _, gap in gaps),
+            "n": len(gaps),
+            "better on": signs.n - signs.above,
+            "recordings": signs.n,
+            "p": signs.p,
+            **{env: over_recordings(of).value if of else nan for env, of in in_task.items()},
+        }
+
+
+def spanned(row: Row, name: str) -> str:
+    """The number of a row with its interval, in words."""
+    bounds = f" [{row['low']:.2f}, {row['high']:.2f}]" if isfinite(row["low"]) else ""
+    return f"{row[name]:.2f}{bounds}"
