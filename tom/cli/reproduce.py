@@ -106,7 +106,8 @@ def _run(study: Study, args: Namespace) -> int:
         answers = {True: "yes", False: "NO", None: ""}
         rows = [{**row, "met": answers[row["met"]]} for row in found.checks]
         tables.insert(0, Table("Acceptance", rows))
-    for name, rows in found.files.items():
+    of_checks = {"checks": found.checks} if found.checks else {}
+    for name, rows in {**found.files, **of_checks}.items():
         write_csv(args.out / f"{name}.csv", rows)
     pictures = []
     for name, (caption, draw) in found.figures.items():
@@ -119,8 +120,7 @@ def _run(study: Study, args: Namespace) -> int:
     sections = [(table.title, table.rows) for table in tables]
     write_report(Report(study.title, study.claim, verdict, pictures, sections, made), args.out)
     if args.json:
-        content = {"checks": found.checks} if found.checks else {}
-        content |= {**found.json, "verdict": verdict, "out": str(args.out)}
+        content = {**of_checks, **found.json, "verdict": verdict, "out": str(args.out)}
         print(json.dumps(plain(content), allow_nan=False))
         return 1 if failed else 0
     for table in tables:

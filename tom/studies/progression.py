@@ -92,7 +92,7 @@ def find(args: Namespace, lab: Lab) -> Findings:
     drawn = [case for case in done if case.preset == judged]
     return Findings(
         said=verdict([row for row in found if row["preset"] == judged]),
-        files={"profiles": _profiles(done), "checks": rows},
+        files={"profiles": _profiles(done)},
         figures={"progression": (caption, partial(figure, drawn))},
         tables=[],
         checks=rows,

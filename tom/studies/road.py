@@ -105,7 +105,6 @@ def find(args: Namespace, lab: Lab) -> Findings:
         files={
             "outcomes": outcomes,
             "sweep": sweep,
-            "checks": checks,
             "returns": _returns(stories),
             "environment": environment_rows(ground),
             "weights": weight_rows(weighed),

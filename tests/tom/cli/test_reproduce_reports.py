@@ -38,9 +38,12 @@ def carried_out(checks: list[Row], out: Path, *, as_json: bool = False) -> int:
 def test_what_is_met_and_what_is_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert carried_out([*CHECKS, UNJUDGED], tmp_path) == 1
     assert {path.name for path in tmp_path.iterdir()} == {
-        "numbers.csv", "drawn.png", "drawn.svg", "report.html", "report.json",
+        "numbers.csv", "checks.csv", "drawn.png", "drawn.svg", "report.html", "report.json",
     }  # fmt: skip
     assert (tmp_path / "numbers.csv").read_text().split() == ["a,b", "1,0.5"]
+    assert [str(met) for met in pd.read_csv(tmp_path / "checks.csv")["met"]] == [
+        "True", "False", "nan",
+    ]  # fmt: skip
     told = json.loads((tmp_path / "report.json").read_text())
     assert told["claim"] == "the claim"
     assert told["found"][0] == "Agrees."
