@@ -110,17 +110,16 @@ def panels(runs: Sequence[RunReader], preset: str) -> list[RunProfiles]:
         if run.preset == preset and run.env != ROAD and run.learner in LEARNERS:
             longest[run.env, run.learner] = run
     order = sorted(longest, key=lambda pair: (task_rank(pair[0]), learner_rank(pair[1])))
-    return [panel for pair in order if (panel := _panel(longest[pair])) is not None]
-
-
-def _panel(run: RunReader) -> RunProfiles | None:
-    profiles = run.profiles()
-    weighed = np.flatnonzero((profiles.ess < UNIFORM) & np.isfinite(profiles.bins).any(1))
-    if not len(weighed):
-        return None
-    spread = np.linspace(0, len(weighed) - 1, min(STEPS, len(weighed))).round().astype(int)
-    chosen = weighed[spread]
-    return RunProfiles(run, profiles.env_step[chosen], profiles.bins[chosen], profiles.ess[chosen])
+    found = []
+    for run in (longest[pair] for pair in order):
+        fits = run.profiles()
+        weighed = np.flatnonzero((fits.ess < UNIFORM) & np.isfinite(fits.bins).any(1))
+        if len(weighed):
+            spread = np.linspace(0, len(weighed) - 1, min(STEPS, len(weighed))).round()
+            chosen = weighed[spread.astype(int)]
+            kept = fits.env_step[chosen], fits.bins[chosen], fits.ess[chosen]
+            found.append(RunProfiles(run, *kept))
+    return found
 
 
 def rows(panels: Sequence[RunProfiles]) -> list[Row]:

@@ -216,7 +216,8 @@ def each(
     folder = out / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     code = code_hash()
-    paths = [folder / f"{_name(work, case, code)}.pt" for case in cases]
+    asked = (f"{work.__module__}.{work.__qualname__} {case!r} {code}" for case in cases)
+    paths = [folder / f"{sha256(one.encode()).hexdigest()[:20]}.pt" for one in asked]
     kind = get_type_hints(work)["return"]
     stored = {path: load(path, kind) for path in paths}
     others = set(active_children())
@@ -244,11 +245,6 @@ def code_hash() -> str:
         for path in sorted(root.rglob("*.py")) if root.is_dir() else [root]:
             digest.update(path.relative_to(root.parent).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()
-
-
-def _name(work: Callable[[Case], Outcome], case: Case, code: str) -> str:
-    asked = f"{work.__module__}.{work.__qualname__} {case!r} {code}"
-    return sha256(asked.encode()).hexdigest()[:20]
 
 
 def _keep(work: Callable[[Case], Outcome], case: Case, path: Path) -> Outcome:
