@@ -1,35 +1,28 @@
 """The answer of a study's tables to its question: a word by a stated rule, and what is against it.
 
 The rule: a group differs if its 95 % interval leaves out the level of no difference; where there
-are only tests, if p is below .05 after correction (Bonferroni's, or the table's own).
+are only tests, if p is below .05 after correction (Bonferroni's, or the table's own). A study that
+has an acceptance is judged by how many of its numbers are met.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite, nan
+from statistics import median
 from typing import Any
-
-import numpy as np
 
 from app.data import studies
 from app.data.studies import Study
 from tom.learners import LEARNERS
 from tom.readable import percent
+from tom.studies.frozen import MENDED, PRINTED, WAYS
+from tom.studies.moments import sign_test
 
 BY_LABEL = {entry.label: name for name, entry in LEARNERS.items()}
-WAYS = {
-    "uniform": "MLE (uniform)", "newest": "newest seventh", "recency": "PMAC (recency)",
-    "half-recency": "half PMAC, half uniform", "vagram": "VaGram", "ratio": "ratio",
-    "half-ratio": "half ratio, half uniform", "pdml": "PDML",
-    "half-pdml": "half PDML, half uniform", "policy-distance": "policy distance",
-    "half-policy-distance": "half policy distance, half uniform", "pmer": "PMER",
-    "half-pmer": "half PMER, half uniform", "action-ratio": "action ratio",
-    "half-action-ratio": "half action ratio, half uniform", "tom-released": "TOM as released",
-    "tom-discounted": "TOM as printed", "tom-mended": "TOM mended",
-    "half-tom-mended": "half TOM mended, half uniform",
-}  # fmt: skip
-"""the ways of weighing of `tom reproduce`, for people; others are variants of the flow"""
-PRINTED, MENDED = "tom-discounted", "tom-mended"
+LABELS = {name: way.label for name, way in WAYS.items() if way.label}
 SIGNIFICANT = 0.05
+NAMED = 3
+"""numbers of an acceptance that are named"""
 Tables = Mapping[str, Sequence[Mapping[str, Any]]]
 """the rows of a study's tables by the files' names"""
 
@@ -54,10 +47,12 @@ class Verdict:
     word: str
     sentence: str
     against: str
+    """what speaks against it; empty without anything"""
     axis: str
     level: float
     """the value on the axis that means no difference"""
     points: Sequence[Point]
+    """none if the study's own picture shows it"""
 
 
 def verdict(study: Study) -> Verdict | None:
@@ -73,9 +68,10 @@ def verdict(study: Study) -> Verdict | None:
 
 def _footprint(tables: Tables) -> Verdict:
     rows = {row["way"]: row for row in tables["summary"]}
-    ours = [rows[PRINTED], rows[MENDED]]
+    ours = [rows[way] for way in (PRINTED, MENDED) if way in rows]
+    word = _by_interval(ours)
     distances = [
-        f"{WAYS[row['way']]} to {percent(row['distance'], 0)} "
+        f"{LABELS[row['way']]} to {percent(row['distance'], 0)} "
         f"({percent(row['low'], 0)} to {percent(row['high'], 0)})"
         for row in ours
     ]
@@ -83,48 +79,55 @@ def _footprint(tables: Tables) -> Verdict:
         f"Weights bring a buffer nearer to what the policy does next: {', '.join(distances)} of "
         f"the distance without weights ({ours[0]['n']:.0f} moments of recorded trainings)."
     )
-    pair = next(
-        row for row in tables["head-to-head"] if (row["way"], row["against"]) == (MENDED, "recency")
-    )
-    told = "differs from" if pair["p"] < SIGNIFICANT else "cannot be told from"
-    against = (
-        f"Recency, which trains nothing, brings it to {percent(rows['recency']['distance'], 0)}: "
-        f"that {told} TOM mended (p {pair['p']:.2g}, {pair['recordings']:.0f} recordings)."
-    )
-    shown = sorted((rows[way] for way in WAYS if way in rows), key=lambda row: row["distance"])
+    rivals = {"recency": "Recency", "policy-distance": "The policies' distance"}
+    said = []
+    for pair in tables["head-to-head"]:
+        both = {pair["way"], pair["against"]}
+        for rival, called in rivals.items():
+            if both == {MENDED, rival}:
+                told = "differs from" if pair["p"] < SIGNIFICANT else "cannot be told from"
+                said.append(
+                    f"{called}, which trains nothing, brings it to "
+                    f"{percent(rows[rival]['distance'], 0)}: that {told} TOM mended (p "
+                    f"{pair['p']:.2g}, {pair['recordings']:.0f} recordings)."
+                )
+    shown = sorted((rows[way] for way in LABELS if way in rows), key=lambda row: row["distance"])
     points = [
-        _point(WAYS[row["way"]], "", row["way"], row["distance"], row["low"], row["high"])
+        _point(LABELS[row["way"]], "", row["way"], row["distance"], row["low"], row["high"])
         for row in shown
     ]
     axis = "distance to the policy (1: unweighted)"
-    return Verdict(_word_of(ours), sentence, against, axis, 1, points)
+    return Verdict(word, sentence, " ".join(said), axis, 1, points)
 
 
 def _capacity(tables: Tables) -> Verdict:
     table = [
-        row for row in tables["head-to-head"] if row["against"] == "uniform" and row["way"] in WAYS
+        row
+        for row in tables["head-to-head"]
+        if row["against"] == "uniform" and row["way"] in LABELS
     ]
     ours = [row for row in table if row["way"] in (PRINTED, MENDED)]
     models = list(dict.fromkeys(row["model"] for row in ours))
     less = [m for m in models if all(row["high"] < 1 for row in ours if row["model"] == m)]
     cost = [
-        f"{row['ratio']:.2f} ({row['low']:.2f} to {row['high']:.2f}) times with {WAYS[row['way']]}"
-        for row in ours
-        if row["model"] == models[-1]
+        f"{row['ratio']:.2f} ({row['low']:.2f} to {row['high']:.2f}) times with "
+        f"{LABELS[row['way']]}"
+        for row in table
+        if row["model"] == models[-1] and not WAYS[row["way"]].half
     ]
     sentence = (
-        f"TOM's weights lower the model's error where the policy goes for {' and '.join(less)} "
-        f"(units x layers). The error of {models[-1]}, the paper's, is {' and '.join(cost)} what "
-        "it is with uniform weights."
+        f"TOM's weights lower the model's error where the policy goes for "
+        f"{' and '.join(less) or 'no model'} (units x layers). The error of {models[-1]} is "
+        f"{' and '.join(cost)} what it is with uniform weights."
     )
     least = min(1.0, min(row["p"] for row in table) * len(table))
     against = f"Corrected for all {len(table)} tests of the table, the least p is {least:.2g}."
     points = [
-        _point(row["model"], WAYS[row["way"]], row["way"], row["ratio"], row["low"], row["high"])
+        _point(row["model"], LABELS[row["way"]], row["way"], row["ratio"], row["low"], row["high"])
         for row in table
     ]
     axis = "model error (1: as with uniform weights)"
-    return Verdict(_word_of(ours), sentence, against, axis, 1, points)
+    return Verdict(_by_interval(ours), sentence, against, axis, 1, points)
 
 
 def _improvement(tables: Tables) -> Verdict:
@@ -146,10 +149,10 @@ def _improvement(tables: Tables) -> Verdict:
         "a large effect of weights could have been seen."
     )
     points = [
-        _point(place, "", row["way"], row["better in trials"] / row["n"], np.nan, np.nan)
+        _point(place, "", row["way"], row["better in trials"] / row["n"], nan, nan)
         for place, row in zip(places, table, strict=True)
     ]
-    word = _word(better, len(told) - better, len(table))
+    word = word_of(better, len(told) - better, len(table))
     return Verdict(word, sentence, against, "share of trials that return more", 0.5, points)
 
 
@@ -180,25 +183,82 @@ def _returns(tables: Tables) -> Verdict:
         )
         for row in table
     ]  # fmt: skip
-    word = _word(more, len(told) - more, len(ours))
+    word = word_of(more, len(told) - more, len(ours))
     return Verdict(word, sentence, against, "a random run beats one of MLE", 0.5, points)
 
 
+def _focus(tables: Tables) -> Verdict:
+    called = {"pmac": "PMAC", "tom paper": LABELS[PRINTED], "tom mended": LABELS[MENDED],
+              "tom exact": "TOM exact"}  # fmt: skip
+    rows = [row for row in tables["summary"] if row["rival"] in called]
+    ours = [row for row in rows if row["rival"].startswith("tom")]
+    gaps: dict[str, list[tuple[str, str, float]]] = {}
+    for row in ours:
+        less = 1 - row["policy / mle"]
+        gaps.setdefault(called[row["rival"]], []).append(("", row["recording"], less))
+    signs = {name: sign_test(of) for name, of in gaps.items()}
+    told = [one for one in signs.values() if one.p * len(signs) < SIGNIFICANT]
+    better = sum(2 * one.above > one.n for one in told)
+    counts = [f"{name} on {one.above} of {one.n}" for name, one in signs.items()]
+    sentence = (
+        "On new steps of the policy the model errs less than MLE's, of all recordings: "
+        f"{', '.join(counts)} (least p {min(one.p for one in signs.values()):.2g})."
+    )
+    least = min(1.0, 2.0 ** (1 - max(one.n for one in signs.values())))
+    price = median(row["random / mle"] for row in ours)
+    against = (
+        f"On the buffer's random half the error is {price:.2f} times MLE's (median). So few "
+        f"recordings have no p below {least:.2g}."
+    )
+    points = [
+        Point(row["recording"], called[row["rival"]], row["rival"].partition(" ")[0],
+              "circle-open" if row["rival"] == "tom paper" else "circle",
+              row["policy / mle"], nan, nan)
+        for row in rows
+    ]  # fmt: skip
+    word = word_of(better, len(told) - better, len(signs))
+    axis = "model error where the policy goes (1: as MLE's)"
+    return Verdict(word, sentence, against, axis, 1, points)
+
+
+def _accepted(tables: Tables) -> Verdict:
+    """By the numbers of the acceptance, which has no figure of its own."""
+    judged = [row for row in tables["checks"] if str(row["met"]) in ("True", "False")]
+    if not judged:
+        raise ValueError("nothing was judged")
+    missed = [str(row["name"]) for row in judged if str(row["met"]) == "False"]
+    met = len(judged) - len(missed)
+    sentence = f"{met} of the {len(judged)} numbers are met that were fixed beforehand."
+    more = f", and {len(missed) - NAMED} more" if len(missed) > NAMED else ""
+    against = f"Not met: {'; '.join(missed[:NAMED])}{more}." if missed else ""
+    return Verdict(word_of(met, len(missed), len(judged)), sentence, against, "", 0, ())
+
+
 RULES: dict[str, Callable[[Tables], Verdict]] = {
+    "road": _accepted,
+    "progression": _accepted,
+    "focus": _focus,
     "footprint": _footprint,
     "capacity": _capacity,
     "improvement": _improvement,
     "returns": _returns,
+    "tabular": _accepted,
 }
+"""of every study but `online`, whose profiles are of one seed each: no test, no interval"""
 
 
-def _word_of(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The word for rows with an interval each of a quantity that is better below 1."""
+def _by_interval(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The word for rows with an interval each of a quantity that is better below 1.
+
+    Raises ValueError without an interval: a task with one recording has none.
+    """
+    if not rows or not all(isfinite(row["low"]) for row in rows):
+        raise ValueError("no interval")
     below, above = (row["high"] < 1 for row in rows), (row["low"] > 1 for row in rows)
-    return _word(sum(below), sum(above), len(rows))
+    return word_of(sum(below), sum(above), len(rows))
 
 
-def _word(better: int, worse: int, count: int) -> str:
+def word_of(better: int, worse: int, count: int) -> str:
     """Of `count` comparisons, so many are better or worse beyond doubt."""
     if not better + worse:
         return "No difference seen"
@@ -208,11 +268,14 @@ def _word(better: int, worse: int, count: int) -> str:
 
 
 def _point(line: str, series: str, way: str, value: float, low: float, high: float) -> Point:
-    base = way.removeprefix("half-")
-    called = {"uniform": "mle", "recency": "pmac", "newest": ""}
-    learner = base if base in LEARNERS else called.get(base, base.partition("-")[0])
-    symbol = "diamond-wide" if base != way else "circle-open" if way == PRINTED else "circle"
-    return Point(line, series, learner, symbol, value, low, high)
+    return Point(line, series, WAYS[way].learner or "", symbol(way), value, low, high)
+
+
+def symbol(way: str) -> str:
+    """The marker of a way: half uniform weights and TOM as printed have their own."""
+    if WAYS[way].half:
+        return "diamond-wide"
+    return "circle-open" if way == PRINTED else "circle" if WAYS[way].label else "x"
 
 
 def _plain(learner: str) -> str:

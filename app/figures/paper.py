@@ -61,7 +61,7 @@ def paper_figure(shown: Mapping[str, Any], width: str, kind: str) -> bytes:
             _trace(axes[trace["axes"]], trace)
         first = next(iter(axes.values()))
         for shape in shown["shapes"]:
-            _line(first, shape)
+            _line(axes.get(shape.get("axes"), first), shape)
         _labels(first, labels, 72 * (height - 0.5 - top))
         _fit(figure, axes, shown["axes"], top)
         if keyed:
@@ -139,9 +139,10 @@ def _trace(axes: Axes, trace: Mapping[str, Any]) -> None:
     elif trace["fill"]:
         axes.fill(x, y, color=_rgba(trace["fill"]), linewidth=0)
     else:
-        if bars := trace["bars"]:
-            ends = np.array([bars["arrayminus"], bars["array"]], np.float64)
-            axes.errorbar(x, y, xerr=ends, fmt="none", ecolor=_rgba(bars["color"]), elinewidth=0.8)
+        for name, bars in (("xerr", trace["bars"]), ("yerr", trace.get("upright"))):
+            if bars:
+                ends = {name: np.array([bars["arrayminus"], bars["array"]], np.float64)}
+                axes.errorbar(x, y, **ends, fmt="none", ecolor=_rgba(bars["color"]), elinewidth=0.8)
         points: Sequence[tuple[str, str]] = trace["marks"] or ()
         for at, height, (symbol, colour) in zip(x, y, points, strict=False):
             name = symbol.removesuffix("-open")

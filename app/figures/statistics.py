@@ -7,13 +7,17 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
+from plotly.subplots import make_subplots
 
 from app import text
-from app.data.verdicts import Point
-from app.figures.base import band, line, styled, upright
+from app.data import called
+from app.data.every_way import Panel
+from app.data.verdicts import LABELS, Point, symbol
+from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, band, line, styled, upright
 from app.figures.curves import HOLLOW, Look, core
-from app.theme import NEUTRAL, learner_colour
+from app.theme import NEUTRAL, faded, learner_colour
 from tom.analysis.statistics import Interval
+from tom.studies.frozen import WAYS
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,53 @@ def intervals(
     styled(figure, axis, height, keep=keep, marks=[upright(level, 1.2, "dash")], y_axis=ticks)
     legend = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"}
     return figure.update_layout(showlegend=len(series) > 1, legend=legend)
+
+
+FEW, MORE = (0.03, 0.1, 0.3, 1, 3), (0.5, 0.7, 0.8, 0.9, 1, 1.2, 1.5, 2, 3)
+"""ticks of a logarithmic axis: of a short one and of a long one"""
+
+
+def two_axes(panels: Sequence[Panel], height: int, keep: str) -> go.Figure:
+    """Ways of weighing by distance and error, a panel per task, both axes logarithmic."""
+    figure = make_subplots(1, len(panels), shared_yaxes=True, horizontal_spacing=0.03)
+    shown: set[str] = set()
+    for column, panel in enumerate(panels, 1):
+        name = called.task(panel.env)
+        for one in panel.ways:
+            colour, label = (
+                learner_colour(WAYS[one.way].learner or ""),
+                LABELS.get(one.way, one.way),
+            )
+            figure.add_scatter(
+                x=[one.distance.value], y=[one.error.value],
+                error_x=_bars(one.distance, colour), error_y=_bars(one.error, colour),
+                mode="markers", name=text.plotly(label), legendgroup=one.way,
+                showlegend=one.way not in shown,
+                marker={"size": 10, "color": [colour], "symbol": [symbol(one.way)],
+                        "line": {"color": [colour], "width": 2}},
+                text=[f"{name}: {text.plotly(label)}"],
+                hovertemplate="%{text}<br>"
+                f"distance {one.distance}<br>error {one.error}<extra></extra>",
+                row=1, col=column,
+            )  # fmt: skip
+            shown.add(one.way)
+        figure.update_xaxes(title_text=f"<b>{name}</b><br>distance to the policy", col=column)
+    level = {"color": NEUTRAL, "width": 1.2, "dash": "dash"}
+    figure.add_vline(1, line=level)
+    figure.add_hline(1, line=level)
+    figure.update_layout(
+        LAYOUT | {"height": height, "uirevision": keep, "meta": {"x": "distance to the policy"}}
+    )
+    log = {"type": "log", "tickangle": 0}
+    figure.update_xaxes(X_AXIS | log | {"matches": "x", "tickvals": FEW, "showgrid": True})
+    figure.update_yaxes(Y_AXIS | log | {"tickvals": MORE})
+    figure.update_yaxes(title_text="model error over uniform's", col=1)
+    return figure
+
+
+def _bars(of: Interval, colour: str) -> dict[str, Any]:
+    value, low, high = (np.array([x]) for x in (of.value, of.low, of.high))
+    return _reach(value, low, high) | {"color": faded(colour, 0.55), "width": 3}
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,11 @@ import streamlit as st
 
 from app import glossary, session, text
 from app.data import studies, trainings
+from app.data.every_way import QUESTION, every_way
 from app.data.studies import QUESTIONS, Study
 from app.data.trainings import Started
 from app.data.verdicts import verdict
-from app.figures.statistics import intervals
+from app.figures.statistics import intervals, two_axes
 from app.parts import address, form
 from app.parts.plot import chart
 from app.parts.scope import Scope
@@ -21,6 +22,8 @@ from tom.studies.study import FOLDER as CASES
 EVERY = "Every question"
 SIGNS = {"Yes": ":material/check_circle:", "No": ":material/cancel:",
          "In part": ":material/contrast:", "No difference seen": ":material/help:"}  # fmt: skip
+WIDE = 900
+"""maximum pixels of a caption, for lines that can be read"""
 SHORT = 20
 """maximum lines of a table that is shown unfolded; longer ones have single values"""
 LISTED = 200
@@ -37,6 +40,7 @@ def page(scope: Scope) -> None:
             label_visibility="collapsed",
         )  # fmt: skip
         if chosen == EVERY:
+            _every_way(listed)
             grid = st.container(horizontal=True, key="grid")
             for study in listed:
                 with grid, st.container(border=True, height="stretch"):
@@ -48,31 +52,58 @@ def page(scope: Scope) -> None:
     _missing(set(by_name))
 
 
+def _every_way(listed: list[Study]) -> None:
+    """All ways of weighing by their distance and their model's error, where both are known."""
+    found = every_way(listed)
+    if found is None:
+        return
+    with st.container(border=True):
+        st.header(QUESTION, anchor=False)
+        _answer(found.word, found.sentence)
+        chart(
+            two_axes(found.panels, 430, "every way"), "every way",
+            "every way of weighing: distance to the policy, and its model's error",
+            caption=f"{QUESTION} {found.sentence} {found.caption}",
+        )  # fmt: skip
+        st.caption(text.markdown(found.caption), width=WIDE)
+        _against(found.against)
+
+
+def _answer(word: str, sentence: str) -> None:
+    st.markdown(f"### {SIGNS[word]} {word}")
+    st.markdown(glossary.linked(text.markdown(sentence)))
+
+
+def _against(words: str) -> None:
+    if words:
+        st.markdown(f"**Against it.** {glossary.linked(text.markdown(words))}")
+
+
 def _card(study: Study) -> None:
     """The question, a verdict in a word and a sentence, its figure, and what speaks against it.
 
-    A study without a rule for a verdict has the first sentence of its report, and its picture.
+    A study without a rule for a verdict has the first sentence of its report; without a figure of
+    the verdict, its own picture.
     """
     st.header(text.markdown(study.question or study.name), anchor=False)
     if study.question and study.name != study.verb:
         st.caption(text.markdown(study.name))
     found = verdict(study)
     if found is not None:
-        st.markdown(f"### {SIGNS[found.word]} {found.word}")
-        st.markdown(glossary.linked(text.markdown(found.sentence)))
+        _answer(found.word, found.sentence)
+    elif study.findings:
+        st.markdown(f"**{text.markdown(study.findings[0])}**")
+    if found is not None and found.points:
         height = 110 + 22 * len(found.points)
         figure = intervals(found.points, found.axis, found.level, height, study.name)
         caption = f"{study.question} {found.sentence} Bars: 95 % intervals."
-        chart(
-            figure, f"verdict {study.name}", f"{study.question}: {found.axis}", caption=caption
-        )  # fmt: skip
-        st.markdown(f"**Against it.** {glossary.linked(text.markdown(found.against))}")
+        chart(figure, f"verdict {study.name}", f"{study.question}: {found.axis}", caption=caption)
     else:
-        if study.findings:
-            st.markdown(f"**{text.markdown(study.findings[0])}**")
         for figure in study.figures[:1]:
             if studies.is_picture(figure):
                 st.image(str(figure), alt=f"{figure.stem}: {study.question or study.name}")
+    if found is not None:
+        _against(found.against)
     if "command" in study.origin:
         with st.expander("The command"):
             st.code(study.origin["command"], language="bash", wrap_lines=True)

@@ -66,7 +66,7 @@ def _with_halves(ways: Mapping[str, Way], halved: Container[str]) -> Iterator[tu
     for name, way in ways.items():
         yield name, way
         if name in halved:
-            label = f"half {way.label.partition(' (')[0]}, half uniform"
+            label = f"half {way.label.partition(' (')[0]} + half uniform"
             mixed = {"model": share, "rollout": share}
             yield f"half-{name}", replace(way, settings=mixed, label=label, half=True)
 

@@ -108,18 +108,19 @@ const drawnTraces = (plot) =>
 function csv(plot) {
   const quoted = (value) => (/[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : value);
   const { xaxis, yaxis } = plot._fullLayout;
-  const { y: named, groups } = plot.layout.meta ?? {};
-  const axes = [titled(xaxis?.title) || "x", titled(yaxis?.title) || named || "y"];
-  const head = ["line", "group", "preset", ...axes, "value", "low", "high"];
+  const { x: across, y: named, groups } = plot.layout.meta ?? {};
+  const axes = [across || titled(xaxis?.title) || "x", titled(yaxis?.title) || named || "y"];
+  const both = drawnTraces(plot).some(({ error_y }) => error_y?.array);
+  const head = ["line", "group", "preset", ...axes, "value", "low", "high", ...(both ? [`${axes[1]}, low`, `${axes[1]}, high`] : [])];
   const rows = drawnTraces(plot).filter(({ name }) => name !== "core").flatMap((trace) => {
-    const { name, x, y, z, text, error_x: bars } = trace;
+    const { name, x, y, z, text } = trace;
     const of = groups?.[trace.legendgroup] ?? ["", ""];
     if (z) return [...z].flatMap((row, j) => [...row].map((value, i) => [name, ...of, x[i], y[j], value, "", ""]));
     // A band goes along its upper edge, and back along the lower one.
     const edge = (i) => (trace.fill === "toself" ? (i < x.length / 2 ? ", high" : ", low") : "");
-    const ends = (at, i) => (bars?.array?.[i] || bars?.arrayminus?.[i] ? [at - bars.arrayminus[i], at + bars.array[i]] : ["", ""]);
+    const ends = (bars, at, i) => (bars?.array?.[i] || bars?.arrayminus?.[i] ? [at - bars.arrayminus[i], at + bars.array[i]] : ["", ""]);
     const called = (i) => (Array.isArray(text) ? text[i].replace("<br>", ", ") : name + edge(i));
-    return [...(x ?? [])].map((at, i) => [called(i), ...of, at, y[i], "", ...ends(at, i)]);
+    return [...(x ?? [])].map((at, i) => [called(i), ...of, at, y[i], "", ...ends(trace.error_x, at, i), ...(both ? ends(trace.error_y, y[i], i) : [])]);
   });
   return [head, ...rows].map((row) => row.map((value) => quoted(value ?? "")).join(",")).join("\n");
 }
@@ -143,14 +144,20 @@ function shown(plot) {
       shape: t.line?.shape ?? "linear", symbol: one(t.marker?.symbol) ?? "circle", size: one(t.marker?.size) ?? 4,
       fill: t.fill && t.fill !== "none" ? t.fillcolor : null, showlegend: Boolean(t.showlegend && full.showlegend),
       marks: Array.isArray(t.marker?.symbol) ? t.marker.symbol.map((symbol, i) => [symbol, t.marker.color[i]]) : null,
-      bars: t.error_x?.array ? { array: [...t.error_x.array], arrayminus: [...t.error_x.arrayminus], color: t.error_x.color } : null,
+      bars: reach(t.error_x), upright: reach(t.error_y),
       colorscale: t.colorscale ?? null, zmin: t.zmin ?? null, zmax: t.zmax ?? null,
       ticks: t.colorbar?.tickvals ? { tickvals: [...t.colorbar.tickvals], ticktext: [...(t.colorbar.ticktext ?? t.colorbar.tickvals)] } : null,
     };
   });
   const annotations = (full.annotations ?? []).map(({ text, x, y, xref, yref }) => ({ text, x, y, xref, yref }));
-  const shapes = (full.shapes ?? []).filter(({ type }) => type === "line").map(({ x0, x1, y0, y1, line }) => ({ x0, x1, y0, y1, dash: line?.dash }));
+  const shapes = (full.shapes ?? []).filter(({ type }) => type === "line").map(({ x0, x1, y0, y1, xref, yref, line }) => ({
+    x0, x1, y0, y1, axes: `${xref}${yref}`.replace(" domain", ""), dash: line?.dash,
+  }));
   return { traces, axes, annotations, shapes, legend: full.showlegend, ratio: plot.clientHeight / plot.clientWidth };
+}
+
+function reach(bars) {
+  return bars?.array ? { array: [...bars.array], arrayminus: [...bars.arrayminus], color: bars.color } : null;
 }
 
 function one(value) {

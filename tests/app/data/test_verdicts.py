@@ -78,9 +78,51 @@ def test_no_trial_s_share_is_beyond_chance():
     assert [point.value for point in found.points] == pytest.approx(shares)
 
 
+@pytest.mark.parametrize(
+    ("name", "met", "word"),
+    [
+        ("road", ["True", "True", ""], "Yes"),
+        ("tabular", ["True", "False"], "In part"),
+        ("progression", ["False", "False", ""], "No"),
+    ],
+)
+def test_an_acceptance_is_judged_by_the_numbers_that_are_met(
+    tmp_path: Path, name: str, met: list[str], word: str
+):
+    (tmp_path / name).mkdir()
+    lines = [f"number {i},{one}" for i, one in enumerate(met)]
+    (tmp_path / name / "checks.csv").write_text("\n".join(["name,met", *lines]))
+    found = of(name, tmp_path)
+    assert (found.word, bool(found.against)) == (word, "False" in met)
+    assert [f"number {i}" in found.against for i, one in enumerate(met)] == [
+        one == "False" for one in met
+    ]
+
+
+@pytest.mark.parametrize(
+    ("recordings", "shares", "word"),
+    [(7, (0.5, 0.5), "Yes"), (7, (2.0, 0.5), "In part"), (4, (0.5, 0.5), "No difference seen")],
+)
+def test_a_models_error_is_judged_by_a_sign_test_over_recordings(
+    tmp_path: Path, recordings: int, shares: tuple[float, float], word: str
+):
+    (tmp_path / "focus").mkdir()
+    rows = [
+        f"hopper-s{i},{rival},{share},3"
+        for i in range(recordings)
+        for rival, share in zip(("mle", "tom paper", "tom mended"), (1.0, *shares), strict=True)
+    ]
+    head = "recording,rival,policy / mle,random / mle"
+    (tmp_path / "focus" / "summary.csv").write_text("\n".join([head, *rows]))
+    found = of("focus", tmp_path)
+    assert found.word == word  # 2 / 2 ** 7 for each of two presets, 2 / 2 ** 4
+    assert sorted({point.value for point in found.points}) == sorted({*shares})
+    assert f"{2 / 2**recordings:.2g}" in found.against
+
+
 def test_a_study_without_a_rule_or_with_other_tables_has_no_verdict(tmp_path: Path):
     (tmp_path / "footprint").mkdir()
-    (tmp_path / "focus").mkdir()
-    for name in ("footprint", "focus"):
+    (tmp_path / "online").mkdir()
+    for name in ("footprint", "online"):
         (tmp_path / name / "summary.csv").write_text("a,b\n1,2\n")
     assert [verdict(study) for study in studies.listing(tmp_path)] == [None, None]

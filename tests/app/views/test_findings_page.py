@@ -11,10 +11,11 @@ from PIL import Image
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Route
-from studio_pages import Show, draw
+from studio_pages import Show, draw, figures
 from studio_runs import PENDULUM_TOM, change
 
 from app.data import readers, studies
+from app.data.every_way import every_way
 from app.links import Links
 from app.servers.pages import routes
 from app.views.findings import _running
@@ -22,6 +23,7 @@ from tom.record import layout
 from tom.reports.report import Report, write_csv, write_report
 
 pytestmark = pytest.mark.usefixtures("studio")
+GALLERY = Path(__file__).parents[3] / "runs" / "studies"
 ROWS = [{"learner": "tom", "error": 0.25}, {"learner": "mle", "error": 0.5}]
 
 
@@ -85,6 +87,25 @@ def test_a_card_says_its_question_and_finding_and_opens_the_study(reports: Path)
     app.button(key="open focus").click().run()
     assert app.query_params["study"] == "focus"
     assert app.header[0].value == studies.QUESTIONS["focus"]
+
+
+def test_all_ways_are_drawn_once_both_studies_are_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for count, name in enumerate(("footprint", "capacity")):
+        shutil.copytree(GALLERY / name, tmp_path / "reports" / name)
+        app = draw("findings")
+        assert len(app.header) == 1 + 2 * count
+    found = every_way(studies.listing(studies.FOLDER))
+    assert found is not None
+    ways = [one for panel in found.panels for one in panel.ways]
+    drawn = figures(app)[0]["data"]
+    assert [(*trace["x"], *trace["y"]) for trace in drawn] == [
+        (one.distance.value, one.error.value) for one in ways
+    ]
+    named = [trace["name"] for trace in drawn if trace["showlegend"]]
+    assert sorted(named) == sorted({trace["name"] for trace in drawn})
 
 
 def test_a_study_says_the_claim_the_verdict_and_the_command(reports: Path) -> None:
