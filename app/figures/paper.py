@@ -100,11 +100,11 @@ def _axes(figure: Figure, pair: Mapping[str, Any], inches: float) -> Axes:
             axes.set(**{f"{name}scale": "log"})
         ends = [10**end if axis["type"] == "log" else end for end in axis["range"]]
         title = fill(_plain(axis["title"]), int(12 * inches) if name == "x" else 60)
-        axes.set(**{f"{name}lim": ends, f"{name}label": title})
         if axis["tickvals"]:
             words = [_wrapped(word) for word in axis["ticktext"]]
             axes.set(**{f"{name}ticks": axis["tickvals"], f"{name}ticklabels": words})
             axes.minorticks_off()
+        axes.set(**{f"{name}lim": ends, f"{name}label": title})  # ticks beyond them move them
     if x["type"] != "log" and max(map(abs, x["range"])) >= 10_000:
         axes.xaxis.set_major_formatter(lambda at, _: f"{at / 1000:g}k")
     if y["domain"][0] > 0.01:  # another one is below it, on the same x axis
@@ -141,7 +141,7 @@ def _trace(axes: Axes, trace: Mapping[str, Any]) -> None:
     else:
         for name, bars in (("xerr", trace["bars"]), ("yerr", trace.get("upright"))):
             if bars:
-                ends = {name: np.array([bars["arrayminus"], bars["array"]], np.float64)}
+                ends: Any = {name: np.array([bars["arrayminus"], bars["array"]], np.float64)}
                 axes.errorbar(x, y, **ends, fmt="none", ecolor=_rgba(bars["color"]), elinewidth=0.8)
         points: Sequence[tuple[str, str]] = trace["marks"] or ()
         for at, height, (symbol, colour) in zip(x, y, points, strict=False):

@@ -130,8 +130,9 @@ def two_axes(panels: Sequence[Panel], height: int, keep: str) -> go.Figure:
         LAYOUT | {"height": height, "uirevision": keep, "meta": {"x": "distance to the policy"}}
     )
     log = {"type": "log", "tickangle": 0}
-    figure.update_xaxes(X_AXIS | log | {"matches": "x", "tickvals": FEW, "showgrid": True})
-    figure.update_yaxes(Y_AXIS | log | {"tickvals": MORE})
+    few, more = ({"tickvals": at, "ticktext": [f"{x:g}" for x in at]} for at in (FEW, MORE))
+    figure.update_xaxes(X_AXIS | log | few | {"matches": "x", "showgrid": True})
+    figure.update_yaxes(Y_AXIS | log | more)
     figure.update_yaxes(title_text="model error over uniform's", col=1)
     return figure
 

@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,16 +21,21 @@ def of(folder: Path) -> EveryWay:
     return found
 
 
-def typical(of_moments: pd.DataFrame) -> pd.core.groupby.DataFrameGroupBy:
-    """By task, the medians over each recording's moments; ways are columns."""
-    return of_moments.groupby(level=["env", "recording"]).median().groupby(level="env")
+def read(study: str) -> Any:
+    return pd.read_csv(GALLERY / study / "moments.csv")
+
+
+def over_recordings(of_moments: Any, env: str, way: str) -> Any:
+    """Mean, least and most of the medians over each recording's moments."""
+    medians = of_moments.groupby(level=["env", "recording"]).median()
+    return medians.groupby(level="env").agg(["mean", "min", "max"]).loc[env, way]
 
 
 def test_a_way_stands_at_its_mean_over_recordings_with_their_spread():
-    near = pd.read_csv(GALLERY / "footprint" / "moments.csv")
+    near = read("footprint")
     near = near[near["footprint_noise"].abs() < 1].pivot(index=KEY, columns="way")["footprint"]
-    errs = pd.read_csv(GALLERY / "capacity" / "moments.csv").pivot(index=KEY, columns="way")
-    errs = np.log(errs["error 200 x 4"].div(errs["error 200 x 4"]["uniform"], axis=0))
+    errs = read("capacity").pivot(index=KEY, columns="way")["error 200 x 4"]
+    errs = errs.div(errs["uniform"], axis=0).apply(np.log)
     n = errs.groupby(level="env").size()
     assert {panel.env for panel in of(GALLERY).panels} == {*n.index}
     for panel in of(GALLERY).panels:
@@ -37,7 +43,7 @@ def test_a_way_stands_at_its_mean_over_recordings_with_their_spread():
         assert {one.way for one in panel.ways} == {*near} & {*errs}
         for one in panel.ways:
             for found, table in ((one.distance, near), (one.error, errs)):
-                ends = typical(table).agg(["mean", "min", "max"]).loc[panel.env, one.way]
+                ends = over_recordings(table, panel.env, one.way)
                 value, least, most = np.exp(ends) if table is errs else ends
                 assert found.value == pytest.approx(value)
                 if panel.recordings == 2:  # all resamples of two lie between them, some on them

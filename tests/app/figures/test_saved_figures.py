@@ -165,6 +165,9 @@ def test_a_remark_in_the_corner_is_no_line_s_label() -> None:
     assert re.sub(ids, "", noted) == re.sub(ids, "", plain)
 
 
+NAMES = ["half TOM mended + half uniform<br>p .04, corrected .2", "PMAC"]
+
+
 def rows(shown: dict[str, Any]) -> dict[str, Any]:
     """A figure with a named row for each result, which has a bar."""
     first = shown["traces"][0]
@@ -173,8 +176,7 @@ def rows(shown: dict[str, Any]) -> dict[str, Any]:
         "marks": [["circle", "#000000"]] * 2,
         "bars": {"array": [1, 2], "arrayminus": [3, 4], "color": "#000000"},
     }  # fmt: skip
-    names = ["half TOM mended, half uniform<br>p .04, corrected .2", "PMAC"]
-    shown["axes"]["xy"]["y"] |= {"range": [-0.5, 1.5], "tickvals": [0, 1], "ticktext": names}
+    shown["axes"]["xy"]["y"] |= {"range": [-0.5, 1.5], "tickvals": [0, 1], "ticktext": NAMES}
     return shown | {"traces": [first], "annotations": [], "shapes": []}
 
 
@@ -190,6 +192,14 @@ def test_labels_and_ticks_lie_inside_the_file(shown: dict[str, Any]) -> None:
     assert not dark[:, -edge:].any()
     assert not dark[:edge].any()
     assert not dark[-edge:].any()
+
+
+def test_bars_of_both_directions_are_drawn_and_ticks_out_of_sight_move_nothing() -> None:
+    plain, ticked, barred = (rows(message(GROUPS)) for _ in range(3))
+    ticked["axes"]["xy"]["y"] |= {"tickvals": [0, 1, 9], "ticktext": [*NAMES, "far"]}
+    barred["traces"][0]["upright"] = plain["traces"][0]["bars"]
+    shown = [paper_figure(one, "one", "png") for one in (plain, ticked, barred)]
+    assert shown[0] == shown[1] != shown[2]
 
 
 def test_a_legend_a_heatmap_bars_and_a_log_axis_are_drawn() -> None:
