@@ -1,8 +1,8 @@
 """The answer of a study's tables to its question: a word by a stated rule, and what is against it.
 
-The rule: a group differs if its 95 % interval leaves out the level of no difference; where there
-are only tests, if p is below .05 after correction (Bonferroni's, or the table's own). A study that
-has an acceptance is judged by how many of its numbers are met.
+The rule: a group differs if its 95 % interval leaves out the level of no difference; without an
+interval, as where a task has one recording, if p is below .05 after correction (Bonferroni's, or
+the table's own). A study that has an acceptance is judged by how many of its numbers are met.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +16,7 @@ from app.data.studies import Study
 from tom.learners import LEARNERS
 from tom.readable import percent
 from tom.studies.frozen import MENDED, PRINTED, WAYS
-from tom.studies.moments import sign_test
+from tom.studies.moments import sign_test, telling
 
 BY_LABEL = {entry.label: name for name, entry in LEARNERS.items()}
 LABELS = {name: way.label for name, way in WAYS.items() if way.label}
@@ -68,16 +68,23 @@ def verdict(study: Study) -> Verdict | None:
 
 def _footprint(tables: Tables) -> Verdict:
     rows = {row["way"]: row for row in tables["summary"]}
-    ours = [rows[way] for way in (PRINTED, MENDED) if way in rows]
-    word = _by_interval(ours)
+    ours = []
+    for row in (rows[way] for way in (PRINTED, MENDED) if way in rows):
+        signs = sign_test(
+            (one["env"], one["recording"], 1 - one["footprint"])
+            for one in telling(tables["moments"])
+            if one["way"] == row["way"]
+        )
+        ours.append({**row, "p": signs.p, "better on": signs.above, "recordings": signs.n})
+    word = _judged(ours)
     distances = [
-        f"{LABELS[row['way']]} to {percent(row['distance'], 0)} "
-        f"({percent(row['low'], 0)} to {percent(row['high'], 0)})"
+        f"{LABELS[row['way']]} {percent(row['distance'], 0)} "
+        f"({_sure(row, lambda end: percent(end, 0))})"
         for row in ours
     ]
     sentence = (
-        f"Weights bring a buffer nearer to what the policy does next: {', '.join(distances)} of "
-        f"the distance without weights ({ours[0]['n']:.0f} moments of recorded trainings)."
+        "With weights a buffer keeps so much of its distance to what the policy does next: "
+        f"{', '.join(distances)}. Recorded trainings at {ours[0]['n']:.0f} moments."
     )
     rivals = {"recency": "Recency", "policy-distance": "The policies' distance"}
     said = []
@@ -110,8 +117,7 @@ def _capacity(tables: Tables) -> Verdict:
     models = list(dict.fromkeys(row["model"] for row in ours))
     less = [m for m in models if all(row["high"] < 1 for row in ours if row["model"] == m)]
     cost = [
-        f"{row['ratio']:.2f} ({row['low']:.2f} to {row['high']:.2f}) times with "
-        f"{LABELS[row['way']]}"
+        f"{row['ratio']:.2f} ({_sure(row, '{:.2f}'.format)}) times with {LABELS[row['way']]}"
         for row in table
         if row["model"] == models[-1] and not WAYS[row["way"]].half
     ]
@@ -127,7 +133,7 @@ def _capacity(tables: Tables) -> Verdict:
         for row in table
     ]
     axis = "model error (1: as with uniform weights)"
-    return Verdict(_by_interval(ours), sentence, against, axis, 1, points)
+    return Verdict(_judged(ours), sentence, against, axis, 1, points)
 
 
 def _improvement(tables: Tables) -> Verdict:
@@ -247,15 +253,26 @@ RULES: dict[str, Callable[[Tables], Verdict]] = {
 """of every study but `online`, whose profiles are of one seed each: no test, no interval"""
 
 
-def _by_interval(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The word for rows with an interval each of a quantity that is better below 1.
+def _judged(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The word for rows of a quantity that is better below 1. Raises ValueError without any."""
+    if not rows:
+        raise ValueError("nothing to judge")
+    sides = []
+    for row in rows:
+        better, worse = row["high"] < 1, row["low"] > 1
+        if not isfinite(row["low"]) and row["p"] * len(rows) < SIGNIFICANT:
+            better = 2 * row["better on"] > row["recordings"]
+            worse = not better
+        sides.append((better, worse))
+    better, worse = map(sum, zip(*sides, strict=True))
+    return word_of(better, worse, len(rows))
 
-    Raises ValueError without an interval: a task with one recording has none.
-    """
-    if not rows or not all(isfinite(row["low"]) for row in rows):
-        raise ValueError("no interval")
-    below, above = (row["high"] < 1 for row in rows), (row["low"] > 1 for row in rows)
-    return word_of(sum(below), sum(above), len(rows))
+
+def _sure(row: Mapping[str, Any], number: Callable[[float], str]) -> str:
+    """How sure a row's number is: its interval, else its test."""
+    if isfinite(row["low"]):
+        return f"{number(row['low'])} to {number(row['high'])}"
+    return f"p {row['p']:.2g}, {row['recordings']:.0f} recordings"
 
 
 def word_of(better: int, worse: int, count: int) -> str:

@@ -68,16 +68,24 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
 
 
 def strips(
-    colours: Mapping[str, str], points: Iterable[tuple[str, str, float]], even: float
+    colours: Mapping[str, str],
+    points: Iterable[tuple[str, str, float]],
+    even: float,
+    label: str,
+    nothing: str,
 ) -> Figure:
     """One panel per task: the values of each row as points, their median as a stroke.
 
     `points` are task, row and value; the rows lie from the top down in the order of `colours`. A
-    dashed line is where a way is as good as uniform weights.
+    dashed line is where a way is as good as uniform weights. `nothing` is said without points.
     """
     values: dict[tuple[str, str], list[float]] = {}
     for env, row, value in points:
         values.setdefault((env, row), []).append(value)
+    if not values:
+        figure = new_figure(4.0, 1.0)
+        figure.text(0.5, 0.5, nothing, ha="center", va="center")
+        return figure
     envs = list(dict.fromkeys(env for env, _ in values))
     upwards = [name for name in colours if any(row == name for _, row in values)][::-1]
     figure = new_figure(2.2 + 2.6 * len(envs), 0.7 + 0.24 * max(len(upwards), 2))
@@ -91,6 +99,7 @@ def strips(
             if of:
                 ax.plot([median(of)] * 2, [height - 0.35, height + 0.35], color=TEXT, linewidth=1.6)
     axes[0].set_yticks(range(len(upwards)), upwards)
+    figure.supxlabel(label, size=9)
     return figure
 
 

@@ -14,7 +14,7 @@ from statistics import median
 import numpy as np
 from matplotlib.figure import Figure
 
-from tom.reports.figures import learner_colour, log_ticks, new_figure, strips
+from tom.reports.figures import learner_colour, log_ticks, strips
 from tom.studies.frozen import UNIFORM, WAYS
 from tom.studies.moments import (
     QUESTIONS,
@@ -138,19 +138,15 @@ def _moments(outcomes: Sequence[Row]) -> set[tuple[str, int]]:
 def footprint_figure(outcomes: Sequence[Row]) -> Figure:
     """One panel per task: distance to the policy relative to uniform weights, log axis."""
     drawn = [one for one in telling(outcomes) if one["way"] != UNIFORM]
-    if not drawn:
-        figure = new_figure(4.0, 1.0)
-        figure.text(0.5, 0.5, "every distance is lost in noise", ha="center", va="center")
-        return figure
     colours = {name: learner_colour(way.learner or "") for name, way in WAYS.items()}
     points = [(one["env"], one["way"], max(one["footprint"], LEAST)) for one in drawn]
-    figure = strips(colours, points, 1.0)
+    cut = any(one["footprint"] < LEAST for one in drawn)
+    what = "distance to the policy's footprint over that of uniform weights"
+    what += f" (drawn at {LEAST} if below it)" * cut
+    figure = strips(colours, points, 1.0, what, "every distance is lost in noise")
     for ax in figure.axes:
         ax.set_xscale("log")
         log_ticks(ax.xaxis, [0.1, 0.2, 0.5, 1, 2, 4])
-    what = "distance to the policy's footprint over that of uniform weights"
-    cut = any(one["footprint"] < LEAST for one in drawn)
-    figure.supxlabel(what + f" (drawn at {LEAST} if below it)" * cut, size=9)
     return figure
 
 

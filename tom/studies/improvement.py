@@ -360,10 +360,10 @@ def improvement_figure(trials: Sequence[Row]) -> Figure:
         for place in PLACES
         for env, _, gap in gaps(trials, name, place)
     ]
-    figure = strips(colours, points, 0.0)
+    what = "return less that with uniform weights"
+    figure = strips(colours, points, 0.0, what, "uniform weights alone")
     for ax in figure.axes:
         ax.set_xscale("symlog", linthresh=100)
-    figure.supxlabel("return less that with uniform weights", size=9)
     return figure
 
 
