@@ -22,6 +22,7 @@ from app.theme import Mode
 
 MODES: tuple[Mode, ...] = ("dark", "light")
 LINKS = Links(store="/runs", port=8600, base="/x/", folder="/f", key="k")
+SERVED = Starlette(routes=routes(LINKS))
 
 
 def test_links_survive_the_environment(monkeypatch) -> None:
@@ -50,8 +51,7 @@ def test_a_viser_frame_carries_the_name_of_its_page_and_is_dark_at_once() -> Non
 
 
 def test_a_wildcard_is_reached_by_the_loopback() -> None:
-    links = Links(host="0.0.0.0", port=1)
-    assert links.address == "http://127.0.0.1:1"
+    assert Links(host="0.0.0.0", port=1).address == "http://127.0.0.1:1"
     assert options(LINKS)["browser.gatherUsageStats"] is False
 
 
@@ -122,7 +122,7 @@ def test_only_under_its_own_names_it_gives_out_what_it_holds(
 def test_behind_a_proxy_it_answers_pages_of_a_secure_address(
     host: str, headers: dict[str, str], code: int
 ) -> None:
-    guarded = Guard(Starlette(routes=routes(LINKS)), LINKS)
+    guarded = Guard(SERVED, LINKS)
     for path in ("/x/api/health", "/x/", "/x/curves", "/curves"):  # some proxies take `/x` off
         assert answered(guarded, path, host, **headers) == code, path
     alone, root = (Guard(guarded._app, replace(LINKS, base=base)) for base in ("", "/"))
@@ -132,7 +132,7 @@ def test_behind_a_proxy_it_answers_pages_of_a_secure_address(
 
 
 def test_the_path_of_a_proxy_gets_the_slash_that_relative_addresses_need() -> None:
-    guarded = Guard(Starlette(routes=routes(LINKS)), LINKS)
+    guarded = Guard(SERVED, LINKS)
     code, headers, _ = reply(guarded, "GET", "/x")
     assert (code, headers["location"]) == (307, "/x/")
     assert answered(guarded, "/xy/curves") == 404
@@ -190,9 +190,9 @@ def reply(
     ],
 )  # fmt: skip
 def test_an_address_of_an_older_studio_leads_to_todays_page(old: str, new: str) -> None:
-    code, headers, _ = reply(Starlette(routes=routes(LINKS)), "GET", old)
+    code, headers, _ = reply(SERVED, "GET", old)
     assert (code, urljoin(old, headers["location"])) == (307, new)
-    assert answered(Starlette(routes=routes(LINKS)), urlsplit(new).path) == 200
+    assert answered(SERVED, urlsplit(new).path) == 200
 
 
 HUGE = {"range": [0, 1e6], "type": "log", "domain": [0, 1], "title": "", "tickvals": None}
@@ -214,14 +214,15 @@ def a_figure(**more: object) -> bytes:
     return json.dumps({**shown, **more}).encode()
 
 
+def figure(query: str, body: bytes, **more: str) -> tuple[int, Mapping[str, str], bytes]:
+    return reply(SERVED, "POST", f"/api/figure?{query}", body=body, **more)
+
+
 @pytest.mark.parametrize(
     ("kind", "begins"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")]
 )
 def test_a_figure_for_a_paper_is_a_file(kind: str, begins: bytes) -> None:
-    served = Starlette(routes=routes(LINKS))
-    code, headers, content = reply(
-        served, "POST", f"/api/figure?kind={kind}&width=one", body=a_figure()
-    )
+    code, headers, content = figure(f"kind={kind}&width=one", a_figure())
     assert (code, headers["content-type"].partition(";")[0]) == (200, paper.KINDS[kind])
     assert content.startswith(begins)
 
@@ -245,17 +246,11 @@ def test_a_figure_for_a_paper_is_a_file(kind: str, begins: bytes) -> None:
     ],
 )
 def test_what_is_no_figure_is_refused(query: str, body: bytes) -> None:
-    assert (
-        reply(Starlette(routes=routes(LINKS)), "POST", f"/api/figure?{query}", body=body)[0] == 400
-    )
+    assert figure(query, body)[0] == 400
 
 
 @pytest.mark.parametrize("length", [str(LARGEST_FIGURE + 1), "many", ""])
 def test_a_figure_that_is_too_large_or_of_no_length_is_not_read(length: str) -> None:
-    asked = {"content-length": length}
-    served = Starlette(routes=routes(LINKS))
-    code, _, content = reply(
-        served, "POST", "/api/figure?kind=pdf&width=one", body=a_figure(), **asked
-    )
+    code, _, content = figure("kind=pdf&width=one", a_figure(), **{"content-length": length})
     assert code == 400
     assert not content.startswith(b"%PDF")

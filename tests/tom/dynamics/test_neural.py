@@ -1,3 +1,4 @@
+from dataclasses import replace
 from math import log
 
 import pytest
@@ -142,14 +143,7 @@ def test_weights_decide_what_the_model_learns(use: str):
     data = rows(2000)
     wrong = data.next_obs + 2.0
     half = torch.arange(2000) < 1000
-    mixed = TensorTransitions(
-        data.obs,
-        data.action,
-        data.reward,
-        torch.where(half.unsqueeze(1), data.next_obs, wrong),
-        data.terminated,
-        data.truncated,
-    )
+    mixed = replace(data, next_obs=torch.where(half.unsqueeze(1), data.next_obs, wrong))
     model = make_model(2, 1, SMALL.but(weights=use), generator())
     model.fit(mixed, 2.0 * half, None, generator(1))
     _, predicted = model.predict(data.obs[half], data.action[half])
@@ -162,11 +156,8 @@ def test_holdout_rows_keep_their_own_weights():
     model = Mdn(2, 1, SMALL.but(rounds=1, batches_per_round=1), generator())
     weights = torch.zeros(400)
     weights[:200] = 2.0
-    marked = TensorTransitions(
-        data.obs, data.action, data.reward, data.next_obs, data.terminated, data.truncated
-    )
     held = split(400, model.config, generator(5))[1]
-    model.fit(marked, weights, None, generator(5))
+    model.fit(data, weights, None, generator(5))
     x, y = model.inputs(data[held]), model.scaled_targets(data[held])
     loss = model.loss_per_dim(model.outputs(x), y).mean(-1)[0]
     own = weights[held]
