@@ -37,14 +37,14 @@ def run_script(text: str, folder: Path, *words: str) -> None:
 
 
 def ended(folder: Path, name: str) -> Run:
-    """The run, when its live weighing has ended."""
-    begun = time.monotonic()
-    while RunReader(folder / "runs" / name).status.state in ("running", "unknown"):
+    """The run, when its live weighings have ended."""
+    begun, run = time.monotonic(), RunReader(folder / "runs" / name)
+    while any(live.status.state in ("running", "unknown") for live in run.live().values()):
         assert time.monotonic() - begun < PATIENCE_S
         time.sleep(0.1)
     found = tom.load(name, store=folder / "runs")
     assert isinstance(found, Run)
-    assert str(found.summary["state"]) == "finished"
+    assert {str(one.summary["state"]) for one in (found, *found.live.values())} == {"finished"}
     return found
 
 
@@ -54,8 +54,9 @@ def test_the_trainings_of_the_page(script: str, name: str, tmp_path: Path):
         assert many in script
         script = script.replace(many, few)
     run_script(script, tmp_path)
-    run, live = ended(tmp_path, name), ended(tmp_path, f"{name}-tom")
-    assert len(run.transitions) == len(live.transitions) == 400
+    run = ended(tmp_path, name)
+    live = run.live["tom"]
+    assert len(run.transitions) == 400
     assert run.reader.policy_steps() == run.reader.evaluation_steps() == [100, 200, 300, 400]
     assert live.reader.snapshot_steps()[-1] == 400
 
@@ -67,4 +68,4 @@ def test_the_example(tmp_path: Path):
     assert len(rows) == 700
     assert len(np.unique(rows["weight"])) > 100
     assert run.reader.evaluation_steps() == [700]
-    ended(tmp_path, "my-ddpg-pmac")
+    assert [*run.live] == ["pmac", "tom"]

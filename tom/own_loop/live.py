@@ -1,20 +1,20 @@
 """`tom.weigh_live`: learners' weights of a growing buffer, in a process of its own.
 
-    python -m tom.own_loop.live RUN --began-at 0 --learner tom pmac --every 5000
+    python -m tom.own_loop.live RUN BEGAN_AT EVERY LEARNER...
 
 It reads the run folder and never touches the training. Each learner's weights are a run folder
 without rows, `RUN/live/LEARNER`, with a lock of its own: `RunReader.live` reads it with the rows of
 the run.
 """
 
-import argparse
 import os
+import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from tom import plugins
 from tom.config import ModelConfig, OwnLoopConfig
 from tom.data.datasets import initial_obs
-from tom.data.transitions import TensorTransitions, Transitions
+from tom.data.transitions import Transitions
 from tom.data.unpack import read_arrays
 from tom.envs import bring
 from tom.errors import OwnCodeError, TryLaterError, UserError, reason, unknown
@@ -45,7 +45,6 @@ LIVE = "live"
 POLL_S = 0.5
 WAIT_S = 600.0
 NICE = 19
-T = TypeVar("T")
 POLICY_ROWS = 1000
 """the newest rows, which stand for the policy"""
 
@@ -86,7 +85,7 @@ def weigh_live(
     log = run.path / layout.LIVE / "log.txt"
     log.parent.mkdir(exist_ok=True)
     command = [sys.executable, "-m", "tom.own_loop.live", str(run.path)]
-    command += ["--began-at", str(run.began_at), "--every", str(every), "--learner", *learners]
+    command += [str(run.began_at), str(every), *learners]
     with log.open("wb") as out:
         process = start(command, out, {**os.environ, "OMP_NUM_THREADS": "1"}, outlives=True)
     live = LiveWeighing(process, log)
@@ -107,9 +106,15 @@ class _Live:
         settings: dict[str, Any] = {"seed": source.seed, "preset": LIVE, "every": every}
         settings |= {"steps": source.config["config"]["steps"]}
         self.config = with_own_settings(OwnLoopConfig, [learner]).model_validate(groups | settings)
-        self.recorder = _when_free(
-            lambda: opened(Store(source.path / layout.LIVE), learner, self.config, "auto", began_at)
-        )[0]
+        until, place = time.monotonic() + WAIT_S, Store(source.path / layout.LIVE)
+        while True:  # the process of a loop that was killed may still weigh its last buffer
+            try:
+                self.recorder, _ = opened(place, learner, self.config, "auto", began_at)
+                break
+            except TryLaterError:
+                if time.monotonic() > until:
+                    raise
+                time.sleep(POLL_S)
         self.streams = Streams(source.seed)
         self._fitted: Fitted | None = None
         self._learner: Any = None
@@ -117,8 +122,10 @@ class _Live:
     def weigh(self, rows: Transitions, version: NDArray, policy: dict[str, Any]) -> None:
         """Record the exam of the last fit, and the weights of rows (N,) of these versions (N,)."""
         replay, n = rows.torch(), len(rows)
-        if self._fitted is not None:
-            self._examine(self._fitted, replay)
+        if self._fitted is not None and n > self._fitted.env_step:
+            exam = Exam.of(self._fitted, replay, n - self._fitted.env_step)
+            metrics = footprint_metrics(exam, self.streams.torch("exam"))
+            self.recorder.consume(Metrics(self._fitted.env_step, metrics))
         stored = StoredPolicy(policy)
         if self._learner is None:
             dims = replay.obs.shape[1], replay.action.shape[1]
@@ -144,25 +151,6 @@ class _Live:
         events += [Notice(n, code, text) for code, text in weighting.notices]
         for event in (*events, Tick(n, "weigh")):
             self.recorder.consume(event)
-
-    def _examine(self, fitted: Fitted, replay: TensorTransitions) -> None:
-        new = len(replay) - fitted.env_step
-        if new > 0:
-            exam = Exam.of(fitted, replay, new)
-            metrics = footprint_metrics(exam, self.streams.torch("exam"))
-            self.recorder.consume(Metrics(fitted.env_step, metrics))
-
-
-def _when_free(make: Callable[[], T]) -> T:
-    """What it makes; the process of a loop that was killed may still weigh its last buffer."""
-    until = time.monotonic() + WAIT_S
-    while True:
-        try:
-            return make()
-        except TryLaterError:
-            if time.monotonic() > until:
-                raise
-            time.sleep(POLL_S)
 
 
 def follow(source: RunReader, learners: Sequence[str], every: int, began_at: int) -> None:
@@ -206,23 +194,17 @@ def follow(source: RunReader, learners: Sequence[str], every: int, began_at: int
             time.sleep(POLL_S)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(run: str, began_at: str, every: str, *learners: str) -> int:
     """Run the process; returns its exit code."""
-    parser = argparse.ArgumentParser(prog="python -m tom.own_loop.live")
-    parser.add_argument("run", type=Path)
-    parser.add_argument("--learner", nargs="+", required=True)
-    parser.add_argument("--every", type=int, required=True)
-    parser.add_argument("--began-at", type=int, required=True)
-    args = parser.parse_args(arguments)
     with suppress(OSError):
         os.nice(NICE)
     torch.set_num_threads(1)
     try:
         plugins.load([])
-        source = RunReader(args.run)
+        source = RunReader(run)
         bring(source.env)
-        with on_stopping(_interrupt):
-            follow(source, args.learner, args.every, args.began_at)
+        with on_stopping(signal.default_int_handler):
+            follow(source, learners, int(every), int(began_at))
     except (UserError, OwnCodeError, TryLaterError, OSError) as error:
         print(reason(error), file=sys.stderr)
         return 1
@@ -231,9 +213,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(*sys.argv[1:]))

@@ -187,7 +187,10 @@ class OwnRun:
     @_guarded
     def metrics(self, step: int, values: Mapping[str, Any]) -> None:
         """Record numbers by name at env step `step`; steps never go back."""
-        numbers = {str(name): float(value) for name, value in values.items()}
+        given = {
+            name: getattr(value, "item", lambda v=value: v)() for name, value in values.items()
+        }
+        numbers = {str(name): float(value) for name, value in given.items()}
         self._recorder.consume(Metrics(self._at(step), numbers))
         if "eval/return" in numbers:
             self._returned = self._step
@@ -384,7 +387,7 @@ class OwnRun:
         self._recorder.consume(Collected(self.step, rows, numbers))
         self._newest = rows
         if numbers[-1] >= self._next_card and len(rows) >= FEW_ROWS:
-            self._next_card = 2 * int(numbers[-1])
+            self._next_card = 8 * int(numbers[-1])
             for code, text in card_of_run(rows, self._known).notices():
                 self._notice(code, text)
 

@@ -4,21 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from loops import loaded
 from streamlit.testing.v1 import AppTest
 from studio_pages import Show, array, captions, draw, figures
 
-import tom
 from app.theme import learner_label
-from tom.frames import Run
 from tom.own_loop.live import weigh_live
 from tom.own_loop.run import record
-
-
-def loaded(store: Path, name: str) -> Run:
-    found = tom.load(name, store=store)
-    assert isinstance(found, Run)
-    return found
-
 
 PAGES = ("answer", "curves", "attention", "replays")
 RETURNS = [-9.0, -4.0]

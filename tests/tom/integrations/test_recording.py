@@ -10,14 +10,13 @@ import torch
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import RecordEpisodeStatistics
 from gymnasium.wrappers.vector import RecordEpisodeStatistics as RecordStatistics
+from loops import loaded
 from ray.rllib.policy.sample_batch import SampleBatch
 from ray.rllib.utils.replay_buffers.prioritized_replay_buffer import PrioritizedReplayBuffer
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-import tom
 from tom.data.datasets import read_dataset
-from tom.frames import Run
 from tom.integrations.gymnasium import RecordEnv, RecordVectorEnv
 from tom.integrations.rllib import priorities
 from tom.integrations.sb3 import RecordCallback, export_buffer
@@ -28,12 +27,6 @@ from tom.policy.stored import read_policy
 def small(kind, env, **options):
     """A model that learns quickly."""
     return kind("MlpPolicy", env, policy_kwargs={"net_arch": [8, 8]}, seed=0, **options)
-
-
-def loaded(store: Path, name: str = "mine") -> Run:
-    found = tom.load(name, store=store)
-    assert isinstance(found, Run)
-    return found
 
 
 def pendulum(limit: int = 30) -> gymnasium.Env:

@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from loops import Watched
 from stable_baselines3 import SAC, TD3
 from stable_baselines3.common.vec_env import DummyVecEnv
 
@@ -16,25 +17,6 @@ from tom.integrations.sb3 import export_buffer, export_policy
 
 LIMITS = {"Pendulum-v1": 40, "InvertedPendulum-v5": 30}
 each = pytest.mark.parametrize("env", LIMITS)
-
-
-class Watched(gymnasium.Wrapper):
-    """Notes every step that is taken."""
-
-    def __init__(self, env: gymnasium.Env) -> None:
-        super().__init__(env)
-        self.steps: list[tuple] = []
-        self._obs = np.zeros(0)
-
-    def reset(self, **options):
-        self._obs, info = self.env.reset(**options)
-        return self._obs, info
-
-    def step(self, action):
-        found = self.env.step(action)
-        self.steps.append((self._obs, np.array(action), *found[:4]))
-        self._obs = found[0]
-        return found
 
 
 def learnt(env: str, steps: int, envs: int = 1, size: int = 1000, **buffer: bool):
@@ -53,7 +35,7 @@ def learnt(env: str, steps: int, envs: int = 1, size: int = 1000, **buffer: bool
 
 def same(rows: Transitions, steps: list[tuple]) -> None:
     """The rows are these steps; whatever comes last is the end of an episode."""
-    obs, action, next_obs, reward, terminated, truncated = map(np.array, zip(*steps, strict=True))
+    obs, action, reward, next_obs, terminated, truncated = map(np.array, zip(*steps, strict=True))
     truncated[-1] |= not terminated[-1]
     for name, values in {
         "obs": obs,

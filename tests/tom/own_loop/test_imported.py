@@ -6,16 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from commands import code_of
+from loops import loaded
 from tensorboardX import SummaryWriter
-
-import tom
-from tom.frames import Run
-
-
-def loaded(store: Path, name: str) -> Run:
-    found = tom.load(name, store=store)
-    assert isinstance(found, Run)
-    return found
 
 
 def test_event_files_of_tensorboard_are_a_run(tmp_path: Path):

@@ -5,22 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from loops import loaded
 
-import tom
 from tom.errors import UserError
-from tom.frames import Run
 from tom.own_loop.live import weigh_live
 from tom.own_loop.run import OwnRun, record
 from tom.record import RunReader, layout
 from tom.record.integrity import verify
 
 PATIENCE_S = 120
-
-
-def loaded(store: Path, name: str) -> Run:
-    found = tom.load(name, store=store)
-    assert isinstance(found, Run)
-    return found
 
 
 def act(obs: np.ndarray) -> np.ndarray:
@@ -58,7 +51,7 @@ def test_the_newest_buffer_is_weighed_beside_the_loop(envs: int, tmp_path: Path)
         assert weights[400:].tolist() == [1.0] * 100
         hand_in(run, 700, envs)
     live.wait(PATIENCE_S)
-    own, rows = loaded(tmp_path, "mine"), {}
+    own, rows = loaded(tmp_path), {}
     assert [*own.live] == ["pmac", "tom"]
     assert not verify(own.reader)
     for learner, found in own.live.items():
@@ -100,8 +93,8 @@ def test_a_weighing_that_fails_is_told_at_the_end(tmp_path: Path):
         time.sleep(0.05)
     with pytest.warns(UserWarning, match="live weighing failed"):
         run.close()
-    assert str(loaded(tmp_path, "mine").summary["state"]) == "finished"
-    assert str(loaded(tmp_path, "mine").live["mle"].summary["state"]) == "failed"
+    assert str(loaded(tmp_path).summary["state"]) == "finished"
+    assert str(loaded(tmp_path).live["mle"].summary["state"]) == "failed"
 
 
 def test_a_run_that_goes_on_is_weighed_from_there(tmp_path: Path):
@@ -111,7 +104,7 @@ def test_a_run_that_goes_on_is_weighed_from_there(tmp_path: Path):
             hand_in(run, 400)
             live = weigh_live(run, ("mle",), every=100)
         live.wait(PATIENCE_S)
-    own = loaded(tmp_path, "mine")
+    own = loaded(tmp_path)
     found = own.live["mle"]
     assert len(own.transitions) == 700
     fits = found.reader.profiles().env_step.tolist()

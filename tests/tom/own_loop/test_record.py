@@ -14,6 +14,8 @@ import pandas as pd
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from loops import Watched
+from loops import loaded as load
 
 import tom
 from tom.errors import UserError
@@ -26,32 +28,12 @@ FIELDS = ("obs", "action", "reward", "next_obs", "terminated", "truncated")
 LIMIT = 7
 
 
-class Watched(gymnasium.Wrapper):
-    """Notes every step of its task that is taken: what a record should have."""
-
-    def __init__(self, env: gymnasium.Env) -> None:
-        super().__init__(env)
-        self.steps: list[tuple] = []
-
-    def reset(self, **options):
-        self._obs, info = self.env.reset(**options)
-        return self._obs, info
-
-    def step(self, action):
-        found = self.env.step(action)
-        self.steps.append((self._obs, action, found[1], found[0], *found[2:4]))
-        self._obs = found[0]
-        return found
-
-
 def watched(env: str = "Pendulum-v1") -> Watched:
     return Watched(gymnasium.make(env, max_episode_steps=LIMIT))
 
 
 def loaded(run: OwnRun) -> Run:
-    found = tom.load(run.name, store=run.path.parent)
-    assert isinstance(found, Run)
-    return found
+    return load(run.path.parent, run.name)
 
 
 def column(table: pd.DataFrame, name: str) -> np.ndarray:
