@@ -296,8 +296,10 @@ def read_weighing(path: Path) -> Weighing:
         raise UserError(f"weighing {path} cannot be read ({reason(error)}): weigh again") from error
     kept = [name for name in weights if str(name).rpartition("-s")[2].isdigit()]
     distance = weights[DISTANCE].to_numpy() if DISTANCE in weights else None
-    in_folder = ROWS in report
-    run = RunReader(path) if in_folder else _run_of(path, report)
+    in_folder, store = ROWS in report, path.absolute().parent
+    run = RunReader(path) if in_folder else None
+    if run is None and store.name == layout.WEIGHINGS:
+        run = find_run(str(report["data"]), Store(store.parent))
     if run is None:
         return Weighing(report, weights.loc[:, kept], None, (), distance)
     recorded = run.buffer()[0].numpy()
@@ -319,9 +321,3 @@ def _errors(run: RunReader, rows: Transitions) -> dict[str, NDArray]:
 
 def _obs_names(run: RunReader) -> tuple[str, ...]:
     return () if run.env == ROAD else task_of(run).obs_names
-
-
-def _run_of(path: Path, report: Mapping[str, Any]) -> RunReader | None:
-    if path.absolute().parent.name != "weighings":
-        return None
-    return find_run(str(report["data"]), Store(path.absolute().parents[1]))

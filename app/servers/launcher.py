@@ -137,7 +137,8 @@ def run(studio: Studio, *, browser: bool) -> int:
         elif links.local_only:
             tunnel = f"-L {links.port}:{links.root.removeprefix('http://')}"
             print(f"            over SSH: ssh {tunnel} THIS-MACHINE", flush=True)
-        if browser and _has_display():
+        display = sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & {*os.environ}
+        if browser and display:
             webbrowser.open(_leading_to(links).as_uri())
         while not stopping.wait(0.5):
             if not server.running:
@@ -224,9 +225,3 @@ def _leading_to(links: Links) -> Path:
     path = Path(links.folder, "studio.html")
     path.write_text(f'<!doctype html><script>location.replace("{links.opened()}")</script>')
     return path
-
-
-def _has_display() -> bool:
-    if sys.platform == "linux":
-        return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    return True

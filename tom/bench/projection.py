@@ -7,11 +7,12 @@ import json
 from collections.abc import Mapping
 from contextlib import suppress
 from math import isfinite
+from statistics import fmean
 from typing import Any
 
 from tom.bench.parts import model_flops, rollout_flops, sac_flops
 from tom.bench.timing import DISTANCES, EXAM
-from tom.config import ModelConfig, OnlineConfig, RolloutConfig, SacConfig, TomConfig
+from tom.config import ModelConfig, OnlineConfig, SacConfig, TomConfig
 from tom.envs import ENVS, Task, task
 from tom.learners import SUBJECT
 from tom.machine.matmul import cache_file
@@ -61,7 +62,9 @@ def per_step_ms(config: OnlineConfig, task: Task, ms: Mapping[str, float]) -> fl
     fit = config.model.rounds * config.model.batches_per_round * model
     if config.learner == SUBJECT:
         fit += weighing_ms(config.tom, config.steps / 2, ms)  # the buffer's mean size
-    fit += ms["rollout, 1000 states"] * rolled * _starts(config.rollout, config.steps) / 1000
+    every = max(config.steps // 100, 1)
+    length = fmean(config.rollout.length_at(at) for at in range(0, config.steps, every))
+    fit += ms["rollout, 1000 states"] * rolled * config.rollout.starts * length / 1000
     return config.updates_per_step * sac + fit / config.fit_every + ms["Hopper-v5 step"]
 
 
@@ -143,9 +146,3 @@ def bench_cost(trial: Trial, ms: Mapping[str, float], done: int = 0) -> Cost | N
 def _numbers(hidden: int, layers: int, task: Task) -> int:
     """Approximate number of parameters of a network over (s, a)."""
     return hidden * (task.obs_dim + task.action_dim + hidden * (layers - 1))
-
-
-def _starts(rollout: RolloutConfig, steps: int) -> float:
-    """Rollout steps of a fit, at the mean rollout length over a training of `steps` env steps."""
-    lengths = [rollout.length_at(at) for at in range(0, steps, max(steps // 100, 1))]
-    return rollout.starts * sum(lengths) / len(lengths)

@@ -21,7 +21,7 @@ def page(measured: Mapping[str, Any]) -> str:
             f"{readable.cell(row['low_ms'])} to {readable.cell(row['high_ms'])}",
             readable.cell(row["times_floor"]),
             readable.cell(row["times_ours"]),
-            _target(row),
+            f"{row['target']}: {'met' if row['met'] else '**missed**'}" if row["target"] else "-",
         )
         for row in measured["parts"]
     ]
@@ -60,9 +60,3 @@ def require_place(path: Path) -> tuple[str, str]:
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
-
-
-def _target(row: Mapping[str, Any]) -> str:
-    if row["target"] is None:
-        return "-"
-    return f"{row['target']}: {'met' if row['met'] else '**missed**'}"

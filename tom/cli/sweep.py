@@ -102,7 +102,10 @@ def run(args: argparse.Namespace) -> int:
             return _dry_run(args, backend.store, planned, jobs)
         if args.engine == "slurm":
             words = without_options(shlex.join(sys.argv[1:]), ["--engine"])
-            print(script(planned, args.store, words, _longest(backend.store, planned)))
+            runs = backend.store.runs()
+            hours = [one.hours for trial in planned if (one := _cost(trial, runs, None))]
+            longest = max(hours) if len(hours) == len(planned) else None
+            print(script(planned, args.store, words, longest))
             return 0
         with open_engine(args.engine, args.address, args.jobs) as engine:
             backend.store.ensure_writable()
@@ -306,14 +309,6 @@ def _dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], j
             "(robots on a CPU are also judged by what `tom bench` last measured here)"
         )
     return 0
-
-
-def _longest(store: Store, planned: Sequence[Trial]) -> float | None:
-    """The hours of the longest run from its start; None if a run cannot be projected."""
-    runs = store.runs()
-    expected = [_cost(trial, runs, None) for trial in planned]
-    hours = [one.hours for one in expected if one]
-    return max(hours) if len(hours) == len(expected) else None
 
 
 def _cost(trial: Trial, runs: Sequence[RunReader], run: RunReader | None) -> Cost | None:

@@ -71,7 +71,8 @@ def load(named: Sequence[str] = ()) -> None:
     """
     for point in entry_points(group=GROUP):
         _load_installed(point)
-    wanted = list(dict.fromkeys([*wanted_here(), *map(_absolute, named)]))
+    placed = (str(Path(word).absolute()) if _is_file(word) else word for word in named)
+    wanted = list(dict.fromkeys([*wanted_here(), *placed]))
     for word in wanted:
         _load(word)
     if wanted:
@@ -98,10 +99,6 @@ def require(run_id: str, names: object) -> None:
                 f"run '{run_id}' was made with the plug-in {name}: add {OPTION} {name} (its file "
                 "or module, where it lies now)"
             )
-
-
-def _absolute(word: str) -> str:
-    return str(Path(word).absolute()) if _is_file(word) else word
 
 
 def _is_file(word: str) -> bool:

@@ -105,7 +105,10 @@ def behaviour_of(arrays: Arrays) -> NDArray[np.float32]:
 
 def transitions_of(arrays: Arrays) -> tuple[Transitions, NDArray[np.int64]]:
     """The rows and policy versions in `buffer/<first row>.npz`."""
-    whole = {"next_obs": _next_obs(arrays), **arrays} if "jump" in arrays else arrays
+    whole = {**arrays}
+    if "jump" in arrays:  # as `without_next_obs` left them
+        whole["next_obs"] = np.concatenate([arrays["obs"][1:], arrays["obs"][-1:]])
+        whole["next_obs"][arrays["jump"]] = arrays["jump_obs"]
     parts = (whole[f.name] for f in fields(Transitions))
     # The buffer of a small copy is in half precision.
     rows = Transitions(*(a.astype(np.float32) if a.dtype == np.float16 else a for a in parts))
@@ -123,14 +126,6 @@ def without_next_obs(arrays: Arrays) -> dict[str, NDArray]:
     chained = np.append((obs[1:] == next_obs[:-1]).all(1), False)
     jump = np.flatnonzero(~chained[: len(obs)]).astype(np.int32)
     return kept | {"jump": jump, "jump_obs": next_obs[jump]}
-
-
-def _next_obs(arrays: Arrays) -> NDArray:
-    """`next_obs` (N, O), restored from the result of `without_next_obs`."""
-    obs, jump = arrays["obs"], arrays["jump"]
-    next_obs = np.concatenate([obs[1:], obs[-1:]])
-    next_obs[jump] = arrays["jump_obs"]
-    return next_obs
 
 
 def empty_transitions() -> tuple[Transitions, NDArray[np.int64]]:

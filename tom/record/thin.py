@@ -5,6 +5,7 @@ parts of OPTIONAL unless requested, and what is not wanted of OPTIONAL and SERIE
 `config.json` lists the missing parts under `thinned`.
 """
 
+import re
 import shlex
 import shutil
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -38,6 +39,7 @@ DIGITS = 5
 MANTISSA_BITS = 10  # of float32's 23; float16 has as many: the error is at most 0.05 %
 SHRINKS = 20
 """smallest share to which a part can shrink; larger parts are not even tried"""
+FIRST_EPISODE = re.compile(r"^[^.]*_0(\.|$)")  # `info_0.success` is in `info_0`
 PLACES = ("--store", "--out")
 """options whose values are folders of the machine that made the run"""
 
@@ -72,7 +74,7 @@ def thin(
             _snapshot(reader, step, to, terms=terms)
         evaluations = [] if "evaluations" in without else reader.evaluation_steps()
         for step in _spread(evaluations, EVALUATIONS):
-            _arrays(reader, to, layout.episodes(step), coarse, _of_first_episode)
+            _arrays(reader, to, layout.episodes(step), coarse, FIRST_EPISODE.search)
         for name in reader.field_names():
             recorded = reader.field_steps(name)
             for step in {at_or_before(recorded, step) for step in snapshots} | {recorded[0]}:
@@ -282,16 +284,12 @@ def _arrays(
     to: Path,
     name: str,
     rounded: Rounded,
-    wanted: Callable[[str], bool] = lambda name: True,
+    wanted: Callable[[str], object] = lambda name: True,
 ) -> None:
     """Copy the `wanted` arrays of a file, rounded."""
-    arrays = reader.arrays(name, wanted)
+    arrays = reader.arrays(name, lambda array: bool(wanted(array)))
     if arrays is not None:  # else missing or damaged, which `tom runs verify` reports
         _save(to / name, arrays, rounded)
-
-
-def _of_first_episode(name: str) -> bool:
-    return name.partition(".")[0].endswith("_0")  # `info_0.success` is in `info_0`
 
 
 def _save(path: Path, arrays: Mapping[str, NDArray], rounded: Rounded) -> None:

@@ -28,7 +28,10 @@ def cost(trial: Trial, runs: Sequence[RunReader], done: int = 0) -> Cost | None:
     preferred to those of others. Time and disk space are proportional to the steps; a longer run
     also fits a larger buffer, so an estimate from a short run is a lower bound.
     """
-    like = [run for run in runs if _alike(run, trial)]
+    ended = [run for run in runs if run.status.state == "finished" and run.fits_model]
+    # A small copy has fewer bytes than its run.
+    whole = [run for run in ended if not run.small_copy]
+    like = [run for run in whole if (run.env, run.preset) == (trial.env, trial.preset)]
     same = [run for run in like if run.learner == trial.learner]
     chosen = (same or like)[:SAMPLES]
     costs = [one for run in chosen if (one := _per_step(run)) is not None]
@@ -54,13 +57,6 @@ def makespan(hours: Sequence[float], slots: int) -> float:
     for run in hours:
         heapreplace(ends, ends[0] + run)
     return max(ends)
-
-
-def _alike(run: RunReader, trial: Trial) -> bool:
-    same = run.env == trial.env and run.config.get("preset") == trial.preset
-    # A small copy has fewer bytes than its run.
-    done = run.status.state == "finished" and not run.small_copy
-    return same and done and run.fits_model
 
 
 def _per_step(run: RunReader) -> tuple[float, float] | None:

@@ -1,7 +1,6 @@
 """What a sweep is expected to take."""
 
 import json
-from math import ceil
 from pathlib import Path
 
 import pytest
@@ -17,7 +16,6 @@ from tom.record import Store, checkpoint
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
 from tom.sweep.projection import cost, makespan
-from tom.sweep.slurm import DEFAULT_HOURS, MARGIN
 from tom.training.plan import checked, trials
 from tom.training.presets import resolve
 
@@ -89,20 +87,6 @@ def test_without_runs_a_robot_is_judged_by_the_bench(tmp_path: Path, capsys):
         assert row["megabytes"] == pytest.approx(written / 1e6)
     assert rows["road-and-rocks", "tom"]["hours"] is None
     assert found["hours"] == pytest.approx(rows["hopper", "tom"]["hours"])  # beside the other
-
-
-def test_slurms_time_is_projected_as_well(tmp_path: Path, capsys):
-    words = ["--env", "humanoid", "--learner", "tom", "--store", str(tmp_path / "store")]
-    sweep = ["sweep", *words, "--engine", "slurm"]
-    assert main(sweep) == 0
-    assert f"--time={DEFAULT_HOURS}:00:00" in capsys.readouterr().out
-    projection.save_bench(MS)
-    (trial,) = trials(checked({"env": "humanoid", "learner": "tom"}))
-    assert isinstance(trial.config, OnlineConfig)
-    left = trial.config.steps - trial.config.exploration_steps
-    hours = per_step_ms(trial.config, ENVS["humanoid"], MS) * left / 3.6e6
-    assert main(sweep) == 0
-    assert f"--time={ceil(hours * MARGIN)}:00:00" in capsys.readouterr().out
 
 
 def test_only_toms_own_work_is_toms(tmp_path: Path):

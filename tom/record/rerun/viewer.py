@@ -10,6 +10,7 @@ import os
 import re
 import subprocess
 import time
+from contextlib import suppress
 from http.client import HTTPConnection
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -60,15 +61,18 @@ def unpack(folder: Path) -> None:
         files.mkdir()
         rerun = processes.start(command, None, without_analytics(settings), session=False)
         try:
-            while not _answers(port):
+            page = b""
+            while not page:
                 if rerun.poll() is not None or time.monotonic() > deadline:
                     raise TimeoutError(f"{command[0]} does not start")
                 time.sleep(0.05)
+                with suppress(OSError):
+                    page = _fetch(port, "")
             for name in FILES:
-                (files / name).write_bytes(_fetch(port, "" if name == PAGE else name))
+                (files / name).write_bytes(page if name == PAGE else _fetch(port, name))
         finally:
             processes.stop([rerun], STOP_S)
-        (files / PAGE).write_bytes(local_page((files / PAGE).read_bytes()))
+        (files / PAGE).write_bytes(local_page(page))
         files.rename(folder)
 
 
@@ -84,13 +88,6 @@ def without_analytics(folder: Path) -> dict[str, str]:
     command = [str(binary()), "analytics", "disable"]
     subprocess.run(command, env=environment, check=True, capture_output=True)
     return environment
-
-
-def _answers(port: int) -> bool:
-    try:
-        return bool(_fetch(port, ""))
-    except OSError:
-        return False
 
 
 def _fetch(port: int, name: str) -> bytes:
