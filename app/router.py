@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from types import ModuleType
 from typing import Protocol
 
 import numpy as np
@@ -44,18 +45,23 @@ class View:
     ICON: str
     PATH: str
 
-    def page(self) -> None:
-        """Draw it, for the runs of the list at the left."""
+    def load(self) -> ModuleType:
+        """Its module, imported by the first caller; others wait for it."""
         module = f"app.views.{self.name}"
         first = module not in sys.modules
-        view = import_module(module)  # it waits while another browser's page imports it
+        loaded = import_module(module)
         if first:
             # Streamlit collects garbage after every drawing of a page or a part of it. The
             # libraries' 400 000 objects, which last as long as the process, would take 0.3 s of
             # that each time.
             gc.freeze()
+        return loaded
+
+    def page(self) -> None:
+        """Draw it, for the runs of the list at the left."""
         from app.parts import scope  # here: it imports the simulator
 
+        view = self.load()
         view.page(scope.draw())
 
 

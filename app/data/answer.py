@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from app.data import buffer
 from app.data.cache import cached
-from app.data.exams import Exams, ranking
+from app.data.exams import Exams, medians, ranking
 from tom.analysis import planes, scores, statistics
 from tom.analysis.curves import Curve
 from tom.analysis.statistics import RANKED, Interval
@@ -179,8 +179,9 @@ def on_policy(side: Side) -> Answer:
             "unclear", "It does not choose", f"{side.name} weighs every transition alike, so its "
             "buffer is as near to the policy as it was collected: a footprint of 1.",
         )  # fmt: skip
-    of_runs = [_median_footprint(one, side.weighs_from) for one in side.exams]
-    measured = np.array([value for value in of_runs if np.isfinite(value)], np.float64)
+    # The median over a run's fits that weigh and whose footprint says something.
+    of_runs = [one.footprint[one.telling & (one.step >= side.weighs_from)] for one in side.exams]
+    measured = medians(of_runs)
     if not len(measured):
         return Answer(
             "unknown", "Cannot be told yet",
@@ -261,12 +262,6 @@ def _error(one: Side, other: Side) -> str:
     if p >= SIGNIFICANT:
         return f"Neither model is clearly better where its policy goes: {numbers} (p {p:.2g})."
     return f"Its model errs {less} where its policy goes: {numbers} (p {p:.2g})."
-
-
-def _median_footprint(exams: Exams, since: float) -> float:
-    """The median over a run's fits that weigh and whose footprint says something; NaN without."""
-    here = exams.telling & (exams.step >= since) & np.isfinite(exams.footprint)
-    return float(np.median(exams.footprint[here])) if here.any() else float("nan")
 
 
 def _spread(interval: Interval, n: int = 0) -> str:

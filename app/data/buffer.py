@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.data.cache import VersionedCache, cached
-from app.data.readers import reader
+from app.data.readers import profiles, reader
 from tom.analysis.imagine import step_errors, stored_model, stored_step
 from tom.analysis.weighing import load_policy
 from tom.data.transitions import Transitions, episodes
@@ -69,18 +69,10 @@ def heavy_and_light(
                 picked.append(row)
         return picked
 
-    index = np.flatnonzero(mask)
-    by_weight = index[_by_weight(rows.weight[index])]
+    # Shuffled: among equal weights, of which there may be many, no part of the buffer is preferred.
+    index = np.random.default_rng(0).permutation(np.flatnonzero(mask))
+    by_weight = index[np.argsort(rows.weight[index], kind="stable")]
     return first_of(by_weight[::-1]), first_of(by_weight)
-
-
-def _by_weight(weight: Floats) -> NDArray[np.int64]:
-    """The row numbers by ascending weight.
-
-    Among equal weights, of which there may be many, no part of the buffer is preferred.
-    """
-    shuffled = np.random.default_rng(0).permutation(len(weight))
-    return shuffled[np.argsort(weight[shuffled], kind="stable")]
 
 
 def windows(ended: NDArray[np.bool_], rows: Sequence[int]) -> NDArray[np.int64]:
@@ -94,6 +86,22 @@ def windows(ended: NDArray[np.bool_], rows: Sequence[int]) -> NDArray[np.int64]:
         high = int(after[0]) if len(after) else len(ended) - 1
         numbers.append(np.clip(np.arange(row - WINDOW, row + WINDOW + 1), low, high))
     return np.array(numbers, np.int64).reshape(len(rows), 2 * WINDOW + 1)
+
+
+def poses(
+    known: Task, recorded: Transitions, state: dict[str, NDArray], rows: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    """Joint positions (R, W, nq) of the recorded states at row numbers (R, W).
+
+    Positions on the ground are relative to the middle of each robot's window; without the
+    simulator's state a robot stays at the origin.
+    """
+    if "qpos" in state:
+        qpos = state["qpos"][rows].astype(np.float32)
+        roots = known.root_dims or 0
+        qpos[..., :roots] -= qpos[:, WINDOW : WINDOW + 1, :roots]
+        return qpos
+    return known.qpos_from_obs(np.asarray(recorded.obs, np.float32)[rows])
 
 
 SHARED_ROWS = 5000
@@ -121,7 +129,7 @@ def rows(run: RunReader, step: int) -> Rows | None:
     """The replay buffer at the fit of `step`, with that fit's weights; None if it is damaged."""
     weight = fit_weight(run, step)
     # Offline data is complete from the first step on; online, each step adds a row.
-    end = len(recorded(run).rows) if run.env == ROAD else reader(run).rows_at(step)
+    end = len(recorded(run).rows) if run.env == ROAD else profiles(run).rows_at(step)
     return weighed_rows(run, weight, end)
 
 

@@ -11,7 +11,7 @@ from app.data.arrays import offer
 from app.data.buffer import Rows
 from app.data.cache import VersionedCache
 from app.data.columns import AGE, DISTANCE, ERROR, ERROR_ROWS, RANK, WEIGHT, Column
-from app.data.readers import reader
+from app.data.readers import profiles
 from app.data.selection import Mask, Selection, between, inside
 from app.data.weighings import Dataset, Weighing
 from app.theme import learner_label
@@ -63,7 +63,7 @@ def fits(run: RunReader) -> dict[str, Source]:
     length, found = buffer.length(run), {}
     for step in run.snapshot_steps():
         weight = buffer.fit_weight(run, step)
-        end = length if run.env == ROAD else reader(run).rows_at(step)
+        end = length if run.env == ROAD else profiles(run).rows_at(step)
         if 0 < len(weight) <= end <= length:
             version = run.version("snapshot", step), run.has_policy(step)
             found[str(step)] = Source(str(step), weight, end, version, run.learner)

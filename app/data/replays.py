@@ -1,5 +1,6 @@
 """One evaluation episode, and its prediction by the run's model. Independent of any viewer."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,11 +10,10 @@ from app.data.cache import cached
 from app.data.readers import reader
 from app.data.road import RoadShape
 from tom.analysis.imagine import Imagined, StoredModel, imagine, joint_positions, stored_model
-from tom.envs import ROAD, Task, scene
+from tom.envs import ROAD, scene
 from tom.errors import UserError
 from tom.events import Episode
 from tom.record.reader import RunReader
-from tom.record.rerun.view import episode_recording
 from tom.record.task_record import scene_of, seconds, task_of
 
 ROAD_DT = 0.1
@@ -86,7 +86,10 @@ def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
     if not 0 <= index < len(episodes) or not episodes[index].length:
         return None
     episode = episodes[index]
-    road = _road(run) if run.env == ROAD else None
+    road = None
+    if run.env == ROAD and (maps := run.field_steps("map")):
+        with suppress(KeyError):
+            road = RoadShape.of(reader(run).field("map", maps[0]))
     robot = None if road or episode.qpos is None else scene_of(run)
     real = episode.obs if robot is None else episode.qpos
     if real is None:
@@ -95,9 +98,10 @@ def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
     dt = ROAD_DT if known is None else seconds(run)
     kept = _model(run) if horizon else "none was asked for"
     imagined = None if isinstance(kept, str) else imagine(kept.predictor, episode, horizon)
-    ghost = imagined and (
-        imagined.obs if known is None else _joints(known, episode, imagined, dt, horizon)
-    )
+    ghost = None if imagined is None or known is not None else imagined.obs
+    # The joints, where the observations hold them.
+    if imagined and known and known.root_dims is not None and episode.qpos is not None:
+        ghost = joint_positions(known, episode, imagined.obs, dt, horizon)
     return Replay(
         run_id=run.run_id,
         env=run.env,
@@ -122,6 +126,8 @@ def recording(run: RunReader, step: int, index: int, horizon: int) -> bytes | No
 
     Raises UserError as `load` does.
     """
+    from tom.record.rerun.view import episode_recording  # here: Rerun takes 0.7 s to import
+
     replay = load(run, step, index, horizon)
     if replay is None:
         return None
@@ -135,20 +141,3 @@ def _model(run: RunReader) -> StoredModel | str:
         return stored_model(run)
     except UserError as error:
         return str(error)
-
-
-def _joints(
-    known: Task, episode: Episode, imagined: Imagined, dt: float, horizon: int
-) -> Floats | None:
-    """The predicted joint positions; None if the observations lack them."""
-    if known.root_dims is None or episode.qpos is None:
-        return None
-    return joint_positions(known, episode, imagined.obs, dt, horizon)
-
-
-def _road(run: RunReader) -> RoadShape | None:
-    recorded = run.field_steps("map")
-    try:
-        return RoadShape.of(reader(run).field("map", recorded[0])) if recorded else None
-    except KeyError:
-        return None

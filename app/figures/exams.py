@@ -44,7 +44,11 @@ def footprint_error_return(exams: Sequence[Exams], height: int) -> go.Figure:
     figure.update_xaxes(**X_AXIS, title_text=footprint, col=1)
     figure.update_xaxes(**X_AXIS, title_text="return of the next evaluation", col=2)
     figure.update_yaxes(title_text="one-step error in the exam (std)", col=1)
-    return note(figure, _left_out(exams, sum(len(run.step) for run in shown)), right=0.48)
+    fits, drawn = (sum(len(run.step) for run in of) for of in (exams, shown))
+    words = [f"{drawn:,} of {fits:,} fits are drawn"] if drawn < fits else []
+    if mute := sum(int((~run.telling).sum()) for run in exams):
+        words.append(f"without {mute:,} of {fits:,} fits, whose footprint says nothing")
+    return note(figure, words, right=0.48)
 
 
 def _points(learner: str, runs: Sequence[Exams], x: str) -> go.Scatter:
@@ -76,12 +80,3 @@ def hover(run: Exams) -> list[str]:
             f"<br>return of the next evaluation {score(float(run.returns[i]))}"
         )
     return lines
-
-
-def _left_out(exams: Sequence[Exams], shown: int) -> list[str]:
-    fits = sum(len(run.step) for run in exams)
-    words = [f"{shown:,} of {fits:,} fits are drawn"] if shown < fits else []
-    mute = sum(int((~run.telling).sum()) for run in exams)
-    if mute:
-        words.append(f"without {mute:,} of {fits:,} fits, whose footprint says nothing")
-    return words

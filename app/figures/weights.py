@@ -169,10 +169,20 @@ def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
     words = [f"returns thinned to {POINTS} points a line"]
     words = words if any(len(curve.step) > POINTS for _, curve, _ in parts) else []
     for column, (name, curve, profiles) in enumerate(parts, 1):
-        figure.add_trace(_return_line(curve), 1, column)
+        step, value, _ = decimate(curve.step, curve.value, POINTS)
+        hover = f"{text.plotly(curve.run_id)}<br>%{{x:,}} steps: %{{y:.4g}}<extra></extra>"
+        marker = {"size": 5, "symbol": learner_symbol(curve.learner)}
+        more = {"meta": curve.run_id, "mode": "lines+markers", "marker": marker}
+        colour = learner_colour(curve.learner)
+        figure.add_trace(line(step, value, colour, 2, hover, showlegend=False, **more), 1, column)
         count = len(profiles.env_step)
         if not count:
-            _say_empty(figure, columns, column)
+            # Without a trace Plotly makes no axes there, and draws the words on the first ones.
+            figure.add_trace(go.Scatter(x=[None], y=[None], showlegend=False), 2, column)
+            middle = {"x": 0.5, "y": 0.5, "showarrow": False, "opacity": 0.75}
+            axis = columns + column
+            place = {"xref": f"x{axis} domain", "yref": f"y{axis} domain"}
+            figure.add_annotation(text="no weights recorded", **place, **middle)
             continue
         fits = spread(count, MAP_COLUMNS)
         bins = profiles.bins[fits].T
@@ -193,20 +203,3 @@ def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
     figure.update_yaxes(title_text="return", row=1, col=1)
     figure.update_yaxes(**AGES, ticks="", row=2)  # else Plotly draws ticks without labels at a map
     return note(figure, words)
-
-
-def _return_line(curve: Curve) -> go.Scatter:
-    step, value, _ = decimate(curve.step, curve.value, POINTS)
-    hover = f"{text.plotly(curve.run_id)}<br>%{{x:,}} steps: %{{y:.4g}}<extra></extra>"
-    marker = {"size": 5, "symbol": learner_symbol(curve.learner)}
-    more = {"meta": curve.run_id, "mode": "lines+markers", "marker": marker, "showlegend": False}
-    return line(step, value, learner_colour(curve.learner), 2, hover, **more)
-
-
-def _say_empty(figure: go.Figure, columns: int, column: int) -> None:
-    # Without a trace Plotly makes no axes there, and draws the words on the first ones.
-    figure.add_trace(go.Scatter(x=[None], y=[None], showlegend=False), 2, column)
-    middle = {"x": 0.5, "y": 0.5, "showarrow": False, "opacity": 0.75}
-    axis = columns + column
-    place = {"xref": f"x{axis} domain", "yref": f"y{axis} domain"}
-    figure.add_annotation(text="no weights recorded", **place, **middle)

@@ -39,8 +39,8 @@ def requested(key: str) -> list[str] | None:
     choice lasts on arrival at another page by an address without any shared choice. A choice that
     this page drew before, and then did not draw for a while, is what it was.
     """
-    words = st.query_params.get_all(key)
-    if _went_back():
+    words, context = st.query_params.get_all(key), get_script_run_ctx()
+    if context is not None and context.is_history_navigation:  # Back or Forward
         return words
     if st.session_state.get(_ARRIVED):
         shared = key in SHARED and key in st.session_state
@@ -52,7 +52,8 @@ def requested(key: str) -> list[str] | None:
 def keep(key: str, words: Sequence[str]) -> None:
     """Set what the address says of a choice from now on; no words for the default choice."""
     st.session_state.setdefault(_KEEPING, {})[key] = list(words)
-    if _part_alone():
+    context = get_script_run_ctx()
+    if context is not None and context.fragment_ids_this_run:
         write()  # the router draws whole pages
 
 
@@ -197,15 +198,3 @@ def _finite(given: Sequence[str], usual: float) -> float:
     except ValueError:
         return usual
     return number if math.isfinite(number) else usual
-
-
-def _went_back() -> bool:
-    """Whether Back or Forward caused this drawing."""
-    context = get_script_run_ctx()
-    return context is not None and context.is_history_navigation
-
-
-def _part_alone() -> bool:
-    """Whether a fragment of the page is drawn, and not the page."""
-    context = get_script_run_ctx()
-    return context is not None and bool(context.fragment_ids_this_run)

@@ -7,11 +7,12 @@ import streamlit as st
 
 def when_changed(state: Callable[[], object], every_s: float) -> None:
     """Draw the whole page again when `state`, looked at every few seconds, is another than now."""
-    before = state()
+    seen: dict[str, object] = {}
 
     @st.fragment(run_every=every_s)
     def look() -> None:
-        if state() != before:
+        now = state()
+        if now != seen.setdefault("first", now):
             st.rerun()
 
     look()

@@ -1,4 +1,4 @@
-"""Cards of runs: identity, progress and results."""
+"""The trainings that run now or have just ended: their cards, and how to start and stop them."""
 
 import html
 import shlex
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import streamlit as st
 
 from app import session, text
-from app.data import trainings
+from app.data import readers, trainings
 from app.parts import start
 from app.theme import learner_colour, learner_label
 from tom import readable
@@ -17,6 +17,10 @@ from tom.errors import UserError
 from tom.record.reader import SMALL_COPY, RunReader
 from tom.record.store import Store
 
+REFRESH_S = 2
+"""seconds between two drawings while a run trains, or one that was started here has not begun"""
+RECENT_S, MOST = 900, 6
+"""seconds for which a run that has ended is still shown, and the number of those that are"""
 COLUMNS = 3
 NAMED = 3
 """maximum number of changed settings that a card names"""
@@ -25,6 +29,29 @@ _STATE_TINTS = {
     "failed": "#d2383f",
     "dead": "#c77700",
 }
+
+
+def draw() -> None:
+    """How to start one, and a card for each of them."""
+    start.panel()
+    runs = readers.listing(session.links().store).runs
+    waits = any(run.status.alive for run in runs) or start.waits(runs)
+    st.fragment(_strip, run_every=REFRESH_S if waits else None)()
+
+
+def _strip() -> None:
+    runs = readers.listing(session.links().store).runs
+    start.failures(runs)
+    alive = [run for run in runs if run.status.alive]
+    ended = [run for run in runs if just_ended(run)][:MOST]
+    if alive or ended:
+        cards([*alive, *ended], runs)
+
+
+def just_ended(run: RunReader) -> bool:
+    """Whether a run has ended a short while ago."""
+    recent = time.time() - run.status.heartbeat < RECENT_S
+    return recent and not run.status.alive and not run.small_copy
 
 
 def cards(runs: Sequence[RunReader], among: Sequence[RunReader]) -> None:

@@ -77,7 +77,13 @@ def panel(replay: Replay, *, playing: bool) -> None:
     )  # fmt: skip
     if st.session_state.get(SLIDER) != st.session_state[FRAME]:  # else it would interrupt a drag
         st.session_state[SLIDER] = st.session_state[FRAME]
-    row[1].slider("Step of the episode", 0, replay.episode.length, key=SLIDER, on_change=_scrubbed)
+    row[1].slider(
+        "Step of the episode",
+        0,
+        replay.episode.length,
+        key=SLIDER,
+        on_change=lambda: go_to(int(st.session_state[SLIDER])),
+    )
     row[2].selectbox("Speed", list(SPEEDS), list(SPEEDS).index(REAL_TIME), key="replay speed")
     row = st.columns(2)
     row[0].toggle("Model's ghost", True, key="replay ghost", disabled=replay.ghost is None)
@@ -94,10 +100,6 @@ def _toggle(last: int) -> None:
     if st.session_state[FRAME] >= last:
         _show(0)
     _ask("play", st.session_state[FRAME])
-
-
-def _scrubbed() -> None:
-    go_to(int(st.session_state[SLIDER]))
 
 
 def _show(frame: int) -> None:

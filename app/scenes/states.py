@@ -7,17 +7,15 @@ import viser
 from numpy.typing import NDArray
 
 from app.data import buffer, weighings
-from app.data.buffer import WINDOW, windows
+from app.data.buffer import WINDOW, poses, windows
 from app.figures.base import OCTAVES, octaves
 from app.scenes import solids
 from app.scenes.control import SPEEDS, StatesChoice
 from app.scenes.frame import Frame, add_words, floor
-from app.scenes.solids import Colour, Floats, Robot, Solids
+from app.scenes.solids import Colour, Robot, Solids
 from app.theme import COLUMNS, Mode, on_scale
 from tom import readable
-from tom.data.transitions import Transitions
 from tom.envs.scene import Model
-from tom.envs.task import Task
 from tom.errors import UserError
 from tom.record.reader import RunReader
 from tom.record.store import Store
@@ -32,22 +30,6 @@ TILT = 1.2
 MARGIN = 0.45
 """metres between two robots"""
 SLOW = tuple(name for name, speed in SPEEDS.items() if speed <= 1)
-
-
-def poses(
-    known: Task, recorded: Transitions, state: dict[str, NDArray], rows: NDArray[np.int64]
-) -> Floats:
-    """Joint positions (R, W, nq) of the recorded states at row numbers (R, W).
-
-    Positions on the ground are relative to the middle of each robot's window; without the
-    simulator's state a robot stays at the origin.
-    """
-    if "qpos" in state:
-        qpos = state["qpos"][rows].astype(np.float32)
-        roots = known.root_dims or 0
-        qpos[..., :roots] -= qpos[:, WINDOW : WINDOW + 1, :roots]
-        return qpos
-    return known.qpos_from_obs(np.asarray(recorded.obs, np.float32)[rows])
 
 
 def places(count: int, size: NDArray, side: int) -> NDArray[np.float32]:

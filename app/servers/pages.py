@@ -29,7 +29,7 @@ from app.guard import Guard
 from app.links import Links
 from app.parts import shortlinks
 from app.parts.plot import LIBRARY, LIBRARY_PATH
-from app.router import views
+from app.router import VIEWS, views
 from app.servers import viewers
 from app.theme import streamlit_options
 from tom import plugins
@@ -221,7 +221,9 @@ def options(links: Links) -> dict:
 
 
 def warm(store: str) -> None:
-    """Read all metrics into the cache, for the first page that compares runs."""
+    """Import the pages and read all metrics, before a visitor waits for them."""
+    for view in VIEWS:
+        view.load()
     for run in readers.listing(store).runs:
         readers.metrics(run)
 

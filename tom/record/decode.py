@@ -149,6 +149,11 @@ class Profiles:
     zeros: NDArray[np.float64]  # (F,) share of transitions with weight zero
     rows: NDArray[np.int64]  # (F,) rows recorded so far; the buffer is the newest `count` of them
 
+    def rows_at(self, step: int) -> int:
+        """The number of rows that the run had recorded at the fit of `step`."""
+        found = self.rows[self.env_step == step]
+        return int(found[-1]) if len(found) else step
+
 
 def profiles_of(rows: Sequence[Mapping[str, Any]]) -> Profiles:
     """The profiles in the rows of `weights/profiles.jsonl`; null becomes NaN."""

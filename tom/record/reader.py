@@ -233,9 +233,7 @@ class RunReader:
 
     def rows_at(self, step: int) -> int:
         """The number of rows that the run had recorded at the fit of `step`."""
-        profiles = self.profiles()
-        found = profiles.rows[profiles.env_step == step]
-        return int(found[-1]) if len(found) else step
+        return self.profiles().rows_at(step)
 
     def notices(self) -> list[dict[str, Any]]:
         """The notices, with `env_step`, `code` and `message`."""

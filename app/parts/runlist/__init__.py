@@ -1,7 +1,7 @@
 """The list of runs: groups and their runs, each with an eye that shows or hides it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import streamlit as st
 
@@ -67,9 +67,15 @@ def draw(
 
     renderer("runlist", _HTML)(
         key="runlist",
-        data={"sections": [asdict(section) for section in sections]},
+        data={"sections": [_given(section) for section in sections]},
         on_toggled_change=lambda: on("toggled", toggled),
         on_alone_change=lambda: on("alone", alone),
         on_chosen_change=lambda: on("chosen", chosen),
         on_everything_change=lambda: on("everything", everything),
     )
+
+
+def _given(section: Section) -> dict[str, object]:
+    """As `asdict`, which takes ten times as long for it copies every number."""
+    groups = [{**vars(group), "runs": [*map(vars, group.runs)]} for group in section.groups]
+    return {**vars(section), "groups": groups}

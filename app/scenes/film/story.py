@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.data import buffer, readers
-from app.data.buffer import WINDOW, windows
+from app.data.buffer import WINDOW, poses, windows
 from app.data.called import names
-from app.scenes.states import poses
 from tom.analysis import planes
 from tom.analysis.curves import curve_points
 from tom.data.transitions import Transitions

@@ -1,20 +1,20 @@
 """Answer: where a learner looks, whether that is where its policy goes, and whether it helps."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import streamlit as st
 
 from app import glossary, session, text
 from app.data import answer, buffer, readers
-from app.data.answer import Answer, Contrast, Side, newest_share
+from app.data.answer import Answer, Side, newest_share
 from app.data.cache import VersionedCache
 from app.data.called import task
 from app.data.exams import exams_of
 from app.figures.base import across
-from app.figures.curves import Look, group_curves
-from app.parts import address, trainings_strip, widgets
+from app.figures.curves import group_curves
+from app.parts import address, cards, widgets
 from app.parts.plot import Drawn, Follow, chart
 from app.parts.scope import Scope
 from app.theme import learner_label
@@ -22,7 +22,6 @@ from app.views.answer import exams, model_error
 from tom.analysis import curves
 from tom.analysis.curves import Curve, Group
 from tom.analysis.scores import counted_from
-from tom.analysis.settings import Kind
 from tom.config import SAC_ALONE
 from tom.envs import ROAD
 from tom.learners import LEARNERS
@@ -32,6 +31,12 @@ REFRESH_S = 5
 HEIGHT = 230
 SIGNS = {"yes": ":material/check_circle:", "no": ":material/cancel:",
          "unclear": ":material/help:", "unknown": ":material/hourglass_empty:"}  # fmt: skip
+CHARTS = (
+    ("attention", "share of the weight on the newest fifth, %", 20.0),
+    ("attention", "footprint: 1 is no nearer, 0 the policy", 1.0),
+    ("curves", "return", None),
+)
+"""the charts of the three cards: the page behind, what is drawn, and the level without weights"""
 QUESTIONS = ("Where does it look?", "Is that where the policy goes?", "Does it help?")
 
 
@@ -51,7 +56,7 @@ _MADE: VersionedCache[list[Card]] = VersionedCache()
 
 def page(scope: Scope) -> None:
     """The trainings that run; one group of runs against another, in three cards."""
-    trainings_strip.draw()
+    cards.draw()
     groups = _groups(scope)
     if not groups:
         st.info("No run of this task learns a model yet: choose another task, or start a training.")
@@ -69,8 +74,8 @@ def page(scope: Scope) -> None:
     asked = text.markdown(f"{task(env)}: does {one} look at the right data, and does that help?")
     st.header(asked, anchor=False)
     alive = any(run.status.alive for runs in groups.values() for run in runs)
-    cards = st.fragment(_cards, run_every=REFRESH_S if alive else None)
-    cards(scope, {title: groups[title] for title in (one, other) if title})
+    both = {title: groups[title] for title in (one, other) if title}
+    st.fragment(_cards, run_every=REFRESH_S if alive else None)(scope, both)
     behind = st.expander("The numbers behind it", key="numbers behind", on_change="rerun")
     if behind.open and env != ROAD:
         with behind:
@@ -165,22 +170,48 @@ def _cards_of(scope: Scope, fresh: Mapping[str, Sequence[RunReader]]) -> list[Ca
             "unknown", "Cannot be told yet", "There is nothing to compare it with.",
             "Train MLE, which weighs all rows alike.",
         )  # fmt: skip
-    shares = [] if on_road else _share_curves(scope, fresh)
-    newest, footprint = (
-        "share of the weight on the newest fifth, %",
-        "footprint: 1 is no nearer, 0 the policy",
+    drawn = zip((where, on_policy, helps), CHARTS, _measured(scope, fresh, sides), strict=True)
+    return [_card_of(scope, *one) for one in drawn]
+
+
+def _measured(
+    scope: Scope, fresh: Mapping[str, Sequence[RunReader]], sides: Sequence[Side]
+) -> list[list[Group]]:
+    """The groups of the three charts: newest fifth, footprint, return."""
+    measured: list[list[Curve]] = [[], [], []]
+    for side, runs in zip(sides, fresh.values(), strict=True):
+        for run, profiles, returns, exams_of_run in zip(
+            runs, side.profiles, side.returns, side.exams, strict=True
+        ):
+            kind = scope.kinds[run.run_id]
+            returns = replace(returns, variant=kind.variant, group=kind)
+            measured[2].append(returns)
+            if run.env != ROAD and not _uniform(run):
+                share = 100 * newest_share(profiles)
+                measured[0].append(replace(returns, step=profiles.env_step, value=share))
+            if not side.uniform:
+                told = exams_of_run.at(exams_of_run.telling & np.isfinite(exams_of_run.footprint))
+                measured[1].append(replace(returns, step=told.step, value=told.footprint))
+    return [curves.groups(one) for one in measured]
+
+
+def _card_of(
+    scope: Scope, answered: Answer, drawn: tuple[str, str, float | None], groups: Sequence[Group]
+) -> Card:
+    """A card, whose chart has a line at a level, and the caption of the saved chart."""
+    link, what, level = drawn
+    if not groups:
+        return Card(answered, link, what, None, "")
+    figure = group_curves(groups, what, HEIGHT, singles=True, looks=scope.looks)
+    figure.update_layout(showlegend=False, hovermode="closest")
+    if level is not None:
+        figure.add_shape(across(level, 1.2, "dash"))
+    named = ", ".join(f"{scope.looks[group.kind].title} (n = {group.n})" for group in groups)
+    caption = (
+        f"{what.capitalize()}, against env steps. Line: mean over seeds, band: 95 % bootstrap "
+        f"interval, thin lines: single runs. {named}."
     )
-    looks = scope.looks
-    return [
-        Card(where, "attention", newest, *_drawn(shares, newest, looks, 20.0)),
-        Card(
-            on_policy,
-            "attention",
-            footprint,
-            *_drawn(_footprints(scope, fresh, sides), footprint, looks, 1.0),
-        ),
-        Card(helps, "curves", "return", *_drawn(_returns(scope, fresh), "return", looks)),
-    ]
+    return Card(answered, link, what, Drawn.of(figure), caption)
 
 
 def _card(question: str, card: Card) -> None:
@@ -201,25 +232,13 @@ def _card(question: str, card: Card) -> None:
     widgets.link_to(card.link, f"See it on {card.link.capitalize()}")
 
 
-def _drawn(
-    groups: Sequence[Group], what: str, looks: Mapping[Kind, Look], level: float | None = None
-) -> tuple[Drawn | None, str]:
-    """The chart of a card, with a line at `level`, and the caption of a saved figure."""
-    if not groups:
-        return None, ""
-    figure = group_curves(groups, what, HEIGHT, singles=True, looks=looks)
-    figure.update_layout(showlegend=False, hovermode="closest")
-    if level is not None:
-        figure.add_shape(across(level, 1.2, "dash"))
-    named = ", ".join(f"{looks[group.kind].title} (n = {group.n})" for group in groups)
-    return Drawn.of(figure), (
-        f"{what.capitalize()}, against env steps. Line: mean over seeds, band: 95 % bootstrap "
-        f"interval, thin lines: single runs. {named}."
+def _side(title: str, loops: Sequence[RunReader]) -> Side:
+    runs = [readers.weighed(run) for run in loops]
+    seen = (
+        answer.contrast(run, run.snapshot_steps()[-1])  # of the last kept fit
+        for run in runs
+        if run.snapshot_steps() and buffer.has_rows(run) and not _uniform(run)
     )
-
-
-def _side(title: str, runs: Sequence[RunReader]) -> Side:
-    loops, runs = runs, [readers.weighed(run) for run in runs]
     frames = [readers.metrics(run) for run in runs]
     live = f" ({learner_label(runs[0].learner)}, live)" if runs[0] is not loops[0] else ""
     name = text.markdown(title + live)  # it stands in sentences
@@ -234,51 +253,5 @@ def _side(title: str, runs: Sequence[RunReader]) -> Side:
             for run, frame in zip(runs, frames, strict=True)
         ],
         counted_from(frames),
-        _contrast(runs),
+        next(filter(None, seen), None),
     )
-
-
-def _contrast(runs: Sequence[RunReader]) -> Contrast | None:
-    """That of the last kept fit of the first run that keeps its buffer."""
-    found = (
-        answer.contrast(run, run.snapshot_steps()[-1])
-        for run in runs
-        if run.snapshot_steps() and buffer.has_rows(run) and not _uniform(run)
-    )
-    return next(filter(None, found), None)
-
-
-def _grouped(scope: Scope, made: Sequence[tuple[RunReader, np.ndarray, np.ndarray]]) -> list[Group]:
-    drawn = [
-        Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value,
-              scope.kinds[run.run_id].variant, scope.kinds[run.run_id])
-        for run, step, value in made
-    ]  # fmt: skip
-    return curves.groups(drawn)
-
-
-def _share_curves(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> list[Group]:
-    runs = [run for of in groups.values() for run in of if not _uniform(run)]
-    found = [(run, readers.profiles(readers.weighed(run))) for run in runs]
-    return _grouped(
-        scope, [(r, p.env_step, 100 * newest_share(p)) for r, p in found if len(p.env_step)]
-    )
-
-
-def _footprints(
-    scope: Scope, groups: Mapping[str, Sequence[RunReader]], sides: Sequence[Side]
-) -> list[Group]:
-    made = []
-    for side, runs in zip(sides, groups.values(), strict=True):
-        if side.uniform:
-            continue
-        for run, of_run in zip(runs, side.exams, strict=True):
-            here = of_run.telling & np.isfinite(of_run.footprint)
-            made.append((run, of_run.step[here], of_run.footprint[here]))
-    return _grouped(scope, made)
-
-
-def _returns(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> list[Group]:
-    runs = [run for of in groups.values() for run in of]
-    of_runs = [(run, widgets.curve(run, "eval/return")) for run in runs]
-    return _grouped(scope, [(run, curve.step, curve.value) for run, curve in of_runs])

@@ -8,11 +8,12 @@ import streamlit as st
 from app import session, text
 from app.data import buffer, readers, weighings
 from app.data.answer import newest_share
+from app.data.cache import VersionedCache
 from app.data.called import names
 from app.figures.base import steps_in_words
 from app.figures.weights import FLOOR, weight_map, weight_profile, with_returns
 from app.parts import address, empty, readout, timeline, widgets
-from app.parts.plot import Follow, Point, chart
+from app.parts.plot import Drawn, Follow, Point, chart
 from app.parts.readout import Number
 from app.parts.scope import Scope
 from app.theme import learner_label
@@ -32,6 +33,7 @@ EVEN = 0.9999
 """effective sample size (share) from which weights count as uniform"""
 HEIGHT = 270
 """of the figures over time, in pixels"""
+_MAPS: VersionedCache[Drawn] = VersionedCache()
 
 
 def page(scope: Scope) -> None:
@@ -42,11 +44,7 @@ def page(scope: Scope) -> None:
     )  # fmt: skip
     if part == LEARNERS_ON_IT:
         learners.draw(scope)
-    else:
-        _one(scope)
-
-
-def _one(scope: Scope) -> None:
+        return
     data = {one.run_id: one for one in weighings.datasets(session.links().store)}
     run = data.get(scope.asked) or scope.one(
         lambda run: bool(readers.weighers(run)), widgets.telling
@@ -104,12 +102,18 @@ def _pick_weigher(run: RunReader) -> RunReader:
 
 def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
     """The weights of all fits by age, with the returns, and the profile of one."""
-    x, fits = steps_in_words([run.env]), profiles.env_step.tolist()
+    fits = profiles.env_step.tolist()
     left, right = st.columns([3, 2])
     with left, st.container(border=True):
         st.markdown("**Every fit**: weight by age, newest on top, and the returns")
-        figure = weight_map(profiles, session.mode(), HEIGHT, x=x)
-        figure = with_returns(figure, widgets.curve(readers.loop(run), "eval/return"))
+        mode, loop = session.mode(), readers.loop(run)
+
+        def drawn() -> Drawn:
+            figure = weight_map(profiles, mode, HEIGHT, x=steps_in_words([run.env]))
+            return Drawn.of(with_returns(figure, widgets.curve(loop, "eval/return")))
+
+        version = run.version("profiles"), loop.version("metrics")
+        figure = _MAPS.get((run.path, mode), drawn, version)
         label = "weight of each part of the buffer at every fit, and the returns below"
         chart(figure, "weight map", label, partial(_go_to, fits), follow=Follow(cursor=True))
         if run.small_copy and len(fits) >= FITS:
@@ -120,7 +124,7 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
         bins = profiles.bins[fits.index(fit)]
         figure = weight_profile(bins, run.learner, HEIGHT, top=top, keep=run.run_id)
         finite = np.maximum(np.nan_to_num(profiles.bins), FLOOR)  # JSON has no NaN
-        at_fits = [[float(f"{value:.3g}") for value in row] for row in finite]
+        at_fits = np.where(finite < 1, finite.round(4), finite.round(2)).tolist()
         follow = Follow(steps=fits, traces={0: at_fits})
         chart(figure, "profile", "mean weight, oldest to newest transitions", follow=follow)
 

@@ -19,7 +19,6 @@ from app.scenes.film import ghosts
 from app.views.attention import progress
 from tom.analysis.brush import FACTORS
 from tom.envs import is_code
-from tom.machine.processes import Process
 from tom.record.reader import RunReader
 from tom.record.task_record import scene_of
 
@@ -77,13 +76,12 @@ def _start(run: RunReader, source: Source, mask: Mask) -> None:
         store = session.links().store
         words = command(run.argument, file.name, source.end, source.option, factors, store)
         begun = st.session_state[BEGUN] = trainings.start(words)
-        Thread(target=_remove_after, args=(begun.process, Path(file.name)), daemon=True).start()
 
+        def remove() -> None:  # when its reader has ended, whether or not a page looks on
+            begun.process.wait()
+            Path(file.name).unlink(missing_ok=True)
 
-def _remove_after(process: Process, rows: Path) -> None:
-    """Remove the file of rows when its reader has ended, whether or not a page looks on."""
-    process.wait()
-    rows.unlink(missing_ok=True)
+        Thread(target=remove, daemon=True).start()
 
 
 def _why_not(run: RunReader, count: int, of: int) -> str:

@@ -14,7 +14,6 @@ from app.parts.readout import Number
 from app.parts.scope import Scope
 from app.parts.stage import stage
 from app.scenes.control import RoadChoice
-from app.scenes.road_frame import as_html
 from tom import readable
 from tom.analysis.curves import curve_points
 from tom.envs import ROAD
@@ -121,6 +120,8 @@ def _export(runs: list[RunReader]) -> None:
     mode = session.mode()
 
     def page_of_it() -> str:
+        from app.scenes.road_frame import as_html  # here: viser and trimesh take 0.7 s to import
+
         fits = [[_fit(run, step) for run in runs] for step in steps]
         return as_html(
             [[p for p in fit if p is not None] for fit in fits if all(fit)],

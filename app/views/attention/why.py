@@ -64,7 +64,11 @@ def section(run: RunReader, rows: Rows, source: Source) -> None:
         else:
             left, right = st.columns([3, 2])
             with left:
-                _sum(found, found.sum_of(row))
+                st.markdown("**The sum**")
+                summed = found.sum_of(row)
+                figure = waterfall(summed, SUBJECT, HEIGHT)
+                chart(figure, "why sum", "the terms that make the weight")
+                st.caption(in_words(found.config, summed, found.whose))
             with right:
                 _neighbours(run, rows, found, row)
         if run.env != ROAD:
@@ -83,7 +87,15 @@ def _pick(rows: Rows) -> int | None:
         st.query_params.pop(KEY, None)
     columns = st.columns([5, 4, 3, 3, 2, 3], vertical_alignment="bottom", gap="small")
     columns[0].markdown("**Why this weight?** Click a transition on a map, or choose one")
-    for column, (name, row) in zip(columns[2:], _telling(rows).items(), strict=False):
+    order, weight = np.argsort(rows.weight, kind="stable"), rows.weight
+    zero, above = np.flatnonzero(weight == 0), np.flatnonzero(weight > 0)
+    suggested = {
+        "heaviest": order[-1],
+        "average": above[np.abs(weight[above] - 1).argmin()] if len(above) else None,
+        "zero": zero[len(zero) // 2] if len(zero) else None,
+        "newest": len(rows) - 1,
+    }
+    for column, (name, row) in zip(columns[2:], suggested.items(), strict=False):
         if column.button(name, key=f"why {name}", disabled=row is None, width="stretch"):
             st.session_state[KEY] = rows.first + int(row or 0)
     chosen = columns[1].number_input(
@@ -92,20 +104,6 @@ def _pick(rows: Rows) -> int | None:
         help="its row in the run's record, counted from 0: one less than its step",
     )  # fmt: skip
     return None if chosen is None else int(chosen) - rows.first
-
-
-def _telling(rows: Rows) -> dict[str, int | None]:
-    """Suggested rows."""
-    order, weight = np.argsort(rows.weight, kind="stable"), rows.weight
-    zero = np.flatnonzero(weight == 0)
-    above = np.flatnonzero(weight > 0)
-    near = None if not len(above) else int(above[np.abs(weight[above] - 1).argmin()])
-    return {
-        "heaviest": int(order[-1]),
-        "average": near,
-        "zero": int(zero[len(zero) // 2]) if len(zero) else None,
-        "newest": len(rows) - 1,
-    }
 
 
 def _head(rows: Rows, row: int) -> None:
@@ -117,12 +115,6 @@ def _head(rows: Rows, row: int) -> None:
     columns[3].metric("return of that episode", score(float(rows.episode_return[row])))
     ends = "yes" if rows.rows.numpy().ended()[row] else "no"
     columns[4].metric("ends the episode", ends)
-
-
-def _sum(found: Why, summed: Sum) -> None:
-    st.markdown("**The sum**")
-    chart(waterfall(summed, SUBJECT, HEIGHT), "why sum", "the terms that make the weight")
-    st.caption(in_words(found.config, summed, found.whose))
 
 
 def in_words(config: TomConfig, parts: Sum, whose: str) -> str:

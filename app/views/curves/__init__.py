@@ -11,11 +11,12 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import glossary, session, text
 from app.data import readers, tables
+from app.data.cache import VersionedCache
 from app.data.called import names, task, told_apart
 from app.figures.curves import group_curves, run_curves, short_title
 from app.figures.ends import label_ends
 from app.parts import address, shortlinks, timeline, widgets
-from app.parts.plot import Follow, Point, chart
+from app.parts.plot import Drawn, Follow, Point, chart
 from app.parts.scope import ALIKE, LINES, Scope
 from app.views.curves import measure, numbers, runs, zoom
 from app.views.curves.measure import Measure
@@ -34,6 +35,7 @@ REFRESH_S = 5
 CLICKED = "curves: a point was clicked"
 PANEL_HEIGHT = 300
 MOST_COLUMNS = 24
+_PANELS: VersionedCache[Drawn] = VersionedCache()
 NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
 
 
@@ -127,7 +129,7 @@ def _figure(
     how: Measure,
     scope: Scope,
     here: Sequence[RunReader],
-) -> go.Figure | None:
+) -> go.Figure | Drawn | None:
     """The figure of one panel; None if a plug-in's chart failed, which the page then shows."""
     if metric in CHARTS:
         try:
@@ -137,17 +139,27 @@ def _figure(
             return None
     if not grouped:
         st.caption("It goes to and fro along this axis, so runs are drawn one by one.")
-        return run_curves(
-            curves, metric, PANEL_HEIGHT, legend=len(curves) <= 12, axes=how.axes,
-            looks=scope.looks, called=told_apart(here),
+    looks = {scope.kinds[run.run_id]: scope.looks[scope.kinds[run.run_id]] for run in here}
+    called = told_apart(here) if not grouped else {}
+
+    def drawn() -> Drawn:
+        if not grouped:
+            return Drawn.of(
+                run_curves(
+                    curves, metric, PANEL_HEIGHT, legend=len(curves) <= 12, axes=how.axes,
+                    looks=looks, called=called,
+                )
+            )  # fmt: skip
+        figure = group_curves(
+            grouped, metric, PANEL_HEIGHT, singles=how.singles, axes=how.axes, window=how.window,
+            looks=looks,
         )  # fmt: skip
-    figure = group_curves(
-        grouped, metric, PANEL_HEIGHT, singles=how.singles, axes=how.axes, window=how.window,
-        looks=scope.looks,
-    )  # fmt: skip
-    if len(grouped) <= LINES:
-        label_ends(figure, grouped, scope.looks, how.axes)
-    return figure
+        if len(grouped) <= LINES:
+            label_ends(figure, grouped, looks, how.axes)
+        return Drawn.of(figure)
+
+    key = measure.held(here, scope.kinds), metric, how, *looks.items(), *called.items()
+    return _PANELS.get(key, drawn)
 
 
 def caption(metric: str, env: str, grouped: Sequence[Group], how: Measure, scope: Scope) -> str:

@@ -90,15 +90,19 @@ def grouped(
 
     `kinds` is the group of each run, by its id.
     """
-    held = tuple(
-        (run.path, run.status.total, run.version("metrics"), kinds[run.run_id]) for run in runs
-    )
 
     def make() -> tuple[list[Curve], list[Group]]:
         curves = [curve(run, metric, x, kinds[run.run_id]) for run in runs]
         return curves, groups(curves, statistic, band) if advancing(curves) else []
 
-    return _GROUPED.get((held, metric, x, statistic, band), make)
+    return _GROUPED.get((held(runs, kinds), metric, x, statistic, band), make)
+
+
+def held(runs: Sequence[RunReader], kinds: Mapping[str, Kind]) -> tuple[object, ...]:
+    """What the curves and groups of runs depend on, for the key of a cache."""
+    return tuple(
+        (run.path, run.status.total, run.version("metrics"), kinds[run.run_id]) for run in runs
+    )
 
 
 def curve(run: RunReader, metric: str, x: str = STEPS, kind: Kind | None = None) -> Curve:

@@ -47,10 +47,13 @@ def draw(scope: Scope) -> None:
     called = text.markdown(names(scope.runs)[run.run_id])
     top = st.columns([6, 3, 3], vertical_alignment="bottom")
     top[0].header(f"{called}, evaluated at step {step:,}", anchor=False)
-    with top[1]:
-        index = _pick_episode(returns)
-    with top[2]:
-        horizon = _pick_horizon()
+    options = list(range(1, len(returns) + 1))
+    label = f"Episode (of {len(returns)})"
+    index = address.choose_one(top[1].selectbox, label, options, "episode", 1) - 1
+    horizon = address.choose_one(
+        top[2].selectbox, "Ghost starts again every", HORIZONS, "ghost", DEFAULT_HORIZON,
+        lambda n: "whole episode" if n == HORIZONS[-1] else f"{n} step{'s' * (n > 1)}",
+    )  # fmt: skip
     replay = _loaded(run, step, index, horizon)
     if replay is None:
         return
@@ -184,21 +187,6 @@ def _numbers(replay: Replay) -> None:
             else " Its place on the ground is integrated from its velocity."
         )
         st.caption(glossary.linked(f"The ghost plays the recorded actions in {whose}.{place}"))
-
-
-def _pick_episode(returns: np.ndarray) -> int:
-    options = list(range(1, len(returns) + 1))
-    label = f"Episode (of {len(returns)})"
-    return address.choose_one(st.selectbox, label, options, "episode", 1) - 1
-
-
-def _pick_horizon() -> int:
-    def label(steps: int) -> str:
-        return "whole episode" if steps == HORIZONS[-1] else f"{steps} step{'s' * (steps > 1)}"
-
-    return address.choose_one(
-        st.selectbox, "Ghost starts again every", HORIZONS, "ghost", DEFAULT_HORIZON, label
-    )
 
 
 def _choose_episode(point: Point) -> None:

@@ -11,7 +11,6 @@ from app.parts.scope import Scope
 from app.scenes.film import SECONDS, cinema
 from app.scenes.film.story import may_be_told, story
 from tom.errors import UserError
-from tom.record.reader import RunReader
 
 HEIGHT = 700
 LENGTHS = {"15 s": 15.0, "30 s": 30.0, "1 min": SECONDS, "2 min": 120.0}
@@ -32,7 +31,8 @@ def draw(scope: Scope) -> None:
     )
     try:
         with st.spinner("The story is told to the film..."):
-            told = _told(run)
+            version = run.version("metrics"), run.name  # the film has the name as its title
+            told = _STORIES.get(run.path, lambda: story(run), version)
     except UserError as error:
         empty.left_out(run, "buffer")
         st.warning(text.markdown(error))
@@ -58,8 +58,3 @@ def draw(scope: Scope) -> None:
             "own button saves the MP4 where the browser can encode: on this machine, or by https."
         )
     empty.left_out(run, "other evaluations")
-
-
-def _told(run: RunReader) -> dict:
-    version = run.version("metrics"), run.name  # the film has the name as its title
-    return _STORIES.get(run.path, lambda: story(run), version)

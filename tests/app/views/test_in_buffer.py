@@ -14,10 +14,10 @@ from studio_pages import Show, answers, draw, map_of
 from studio_runs import PENDULUM_TOM, info
 
 from app.data import arrays, buffer, buffer_map, columns
-from app.data.buffer import WINDOW, Rows, windows
+from app.data.buffer import WINDOW, Rows, poses, windows
 from app.data.selection import between, inside
 from app.parts import timeline
-from app.scenes import control, solids, states
+from app.scenes import control, solids
 from app.views.attention.row_list import table
 from tom.data.transitions import Transitions
 from tom.envs import scene, task
@@ -102,14 +102,14 @@ def test_a_moment_stays_in_its_episode() -> None:
 def test_robots_stand_as_they_were_recorded(store: Path, rows: Rows) -> None:
     recorded = RunReader(store / PENDULUM_TOM).buffer()[0]
     ended = (np.asarray(recorded.terminated) != 0) | (np.asarray(recorded.truncated) != 0)
-    found = states.poses(task("inverted-pendulum"), recorded, {}, windows(ended, [7, 200]))
+    found = poses(task("inverted-pendulum"), recorded, {}, windows(ended, [7, 200]))
     assert found[:, WINDOW] == pytest.approx(np.asarray(recorded.obs)[[7, 200], :2])
     robots = solids.of(scene.model("inverted-pendulum"), found)
     position, wxyz = robots.position[:, WINDOW], robots.wxyz[:, WINDOW]
     assert position.shape == (2, 3, 3)
     assert np.linalg.norm(wxyz, axis=-1) == pytest.approx(1)
     kept = {"qpos": np.asarray(recorded.obs)[:, :2] + 5}
-    assert states.poses(task("hopper"), recorded, kept, windows(ended, [7]))[0, WINDOW, 0] == 0
+    assert poses(task("hopper"), recorded, kept, windows(ended, [7]))[0, WINDOW, 0] == 0
 
 
 def chosen(app: AppTest) -> NDArray[np.int64]:

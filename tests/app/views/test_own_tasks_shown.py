@@ -15,7 +15,7 @@ from studio_pages import Show, array, draw, figures, map_of
 from studio_runs import PENDULUM_TOM, info, undescribed
 
 from app.data import buffer, replays
-from app.scenes import solids, states
+from app.scenes import solids
 from app.scenes.replay import track
 from tom.record import Store, layout
 from tom.record.reader import RunReader
@@ -81,7 +81,7 @@ def test_robots_stand_in_the_states_of_a_buffer(shown: Path, run_id: str):
     assert buffer.drawn(info(shown, run_id))
     ended = np.zeros(len(recorded), bool)
     rows = buffer.windows(ended, [20, 120])
-    qpos = states.poses(task_of(run), recorded, run.recorded().state, rows)
+    qpos = buffer.poses(task_of(run), recorded, run.recorded().state, rows)
     robots = solids.of(model, qpos)
     assert len(robots.position) == 2
     assert np.isfinite(robots.floor)

@@ -26,7 +26,7 @@ from studio_runs import (
 
 from app.data import trainings
 from app.data.trainings import Started
-from app.parts import start, trainings_strip
+from app.parts import cards, start
 from app.parts.cards import NAMED, figures, head, settings_line
 from tom.envs import ENVS, OTHERS, Task
 from tom.errors import UserError
@@ -47,7 +47,7 @@ def shown(app: AppTest) -> list[str]:
 def test_the_strip_has_what_trains_and_for_a_while_what_has_ended(own: Path) -> None:
     for run in own.iterdir():
         if (run / layout.STATUS).exists():
-            set_status(run, heartbeat=time.time() - trainings_strip.RECENT_S - 1)
+            set_status(run, heartbeat=time.time() - cards.RECENT_S - 1)
     assert shown(draw("answer")) == []
     set_status(own / PENDULUM_TOM, heartbeat=time.time())
     set_status(own / ROAD_MLE, state="running", heartbeat=time.time() - 1000)
@@ -63,9 +63,9 @@ def test_of_many_trainings_that_have_ended_few_are_shown_and_no_small_copy(
 ) -> None:
     ended = info(store, PENDULUM_TOM)
     recent = altered(ended, status=replace(ended.status, heartbeat=time.time()))
-    assert trainings_strip.just_ended(recent)
-    assert not trainings_strip.just_ended(altered(recent, small_copy=True))
-    monkeypatch.setattr(trainings_strip, "MOST", 2)
+    assert cards.just_ended(recent)
+    assert not cards.just_ended(altered(recent, small_copy=True))
+    monkeypatch.setattr(cards, "MOST", 2)
     assert len(shown(draw("answer"))) == 2
 
 
