@@ -121,8 +121,13 @@ def weighed(run: RunReader) -> RunReader:
 
 
 def metrics(run: RunReader) -> pd.DataFrame:
-    """One row per recorded step: `env_step` and every metric."""
-    return _part(run, "metrics")[0]
+    """One row per recorded step: `env_step` and every metric; of a loop also its live weights'."""
+    own, live = _part(run, "metrics")[0], weighed(run)
+    if live is run:
+        return own
+    found = _part(live, "metrics")[0]
+    more = [name for name in found if name == "env_step" or name not in own]
+    return own.merge(found[more], "outer", "env_step")
 
 
 def profiles(run: RunReader) -> Profiles:
@@ -151,10 +156,14 @@ def has_profiles(run: RunReader) -> bool:
     return run.version("profiles")[0][1] > 0
 
 
-@cached("metrics")
 def points(run: RunReader) -> dict[str, int]:
     """The number of recorded values of each metric that has at least one."""
-    frame = metrics(run)
+    return _points(weighed(run)) | _points(run)
+
+
+@cached("metrics")
+def _points(run: RunReader) -> dict[str, int]:
+    frame = _part(run, "metrics")[0]
     count = np.isfinite(frame.to_numpy(np.float64)).sum(0)
     return {str(name): int(n) for name, n in zip(frame, count, strict=True) if n}
 

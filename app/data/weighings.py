@@ -294,7 +294,7 @@ def live_weights(run: RunReader) -> LiveWeights | None:
     ]
     report = {
         "data": run.run_id, "policy": run.run_id, "step": step, "results": results,
-        "rows": max(map(len, weights.values())), "preset": "of tom train",
+        "rows": max(map(len, weights.values())), "ordered_from": 0, "preset": "of tom train",
         "medians": {name: medians([progression(of, 0)]) for name, of in weights.items()},
     }  # fmt: skip
     columns = {f"{name}-s{run.seed}": of for name, of in weights.items()}

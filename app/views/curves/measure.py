@@ -101,8 +101,10 @@ def grouped(
 def held(runs: Sequence[RunReader], kinds: Mapping[str, Kind]) -> tuple[object, ...]:
     """What the curves and groups of runs depend on, for the key of a cache."""
     return tuple(
-        (run.path, run.status.total, run.version("metrics"), kinds[run.run_id]) for run in runs
-    )
+        (run.path, run.status.total, run.version("metrics"),
+         readers.weighed(run).version("metrics"), kinds[run.run_id])
+        for run in runs
+    )  # fmt: skip
 
 
 def curve(run: RunReader, metric: str, x: str = STEPS, kind: Kind | None = None) -> Curve:

@@ -20,7 +20,7 @@ RETURNS = [-9.0, -4.0]
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A loop with nothing but numbers, one with its own weights, one that is weighed live."""
     path, rng = tmp_path_factory.mktemp("loops"), np.random.default_rng(0)
-    for name in ("bare", "weighs", "live"):
+    for name in ("bare", "weighs", "live", "only-live"):
         live = None
         with record(name, env="Pendulum-v1", store=path, steps=400) as run:
             for step in (200, 400):
@@ -32,8 +32,9 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 if name == "weighs":
                     run.weights(step, np.arange(step) + 1.0)
             if name == "live":
-                run.policy(400, lambda obs: obs[:, :1])
                 run.weights(400, np.arange(400) + 1.0)
+            if "live" in name:
+                run.policy(400, lambda obs: obs[:, :1])
                 run.episode(400, rng.normal(size=(11, 3)), np.ones(10))
                 live = weigh_live(run, ("pmac", "tom"), every=100)
         if live is not None:
@@ -82,6 +83,13 @@ def test_weights_of_the_loop_and_live_ones_are_shown_with_its_returns(run, by, f
     bins = (found if by == "own-loop" else found.live[by]).profiles.to_numpy()[-1]
     lines = [array(trace["y"]) for trace in drawn if "y" in trace]
     assert any(y.shape == bins.shape and np.allclose(y, bins) for y in lines)
+
+
+def test_curves_has_the_metrics_of_live_weights(store: Path):
+    app = draw("curves", run="only-live", panel="weights/ess")
+    ess = loaded(store, "only-live").live["tom"].metrics["weights/ess"].dropna()
+    drawn = [array(trace["y"]) for figure in figures(app) for trace in figure["data"]]
+    assert any(y.tolist() == pytest.approx(ess.tolist()) for y in drawn if len(y) == len(ess))
 
 
 def test_live_weights_of_all_learners_are_compared(store: Path):
