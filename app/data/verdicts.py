@@ -23,7 +23,7 @@ LABELS = {name: way.label for name, way in WAYS.items() if way.label}
 SIGNIFICANT = 0.05
 NAMED = 3
 """numbers of an acceptance that are named"""
-Tables = Mapping[str, Sequence[Mapping[str, Any]]]
+Tables = Mapping[str, Sequence[dict[str, Any]]]
 """the rows of a study's tables by the files' names"""
 
 
@@ -59,7 +59,11 @@ def verdict(study: Study) -> Verdict | None:
     """The verdict on a study's question; None without a rule for it, or without its tables."""
     rule = RULES.get(study.verb)
     read = {path.stem: studies.table(path) for path in study.tables}
-    tables = {name: table.to_dict("records") for name, table in read.items() if table is not None}
+    tables = {
+        name: [dict(row) for row in table.to_dict("records")]
+        for name, table in read.items()
+        if table is not None
+    }
     try:
         return None if rule is None else rule(tables)
     except (KeyError, ValueError, StopIteration):  # tables of another version
