@@ -11,7 +11,7 @@ from app.figures.curves import Axes, Look
 from tom.analysis.curves import Group
 from tom.analysis.settings import Kind
 
-MARK, HOLLOW_MARK = "\u25ac", "\u25ad"
+MARK, HOLLOW_MARK = "\u25a0", "\u25a1"
 GAP, LETTER, ROOM = 15, 6.4, 14
 """pixels: least distance of two labels, a letter, and the room around a label"""
 

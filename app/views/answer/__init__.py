@@ -140,8 +140,9 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
     )
     key = tuple(fresh), frozenset((kind, scope.looks[kind]) for kind in kinds)
     made = _MADE.get(key, lambda: _cards_of(scope, fresh), version)
-    for column, question, card in zip(st.columns(3), QUESTIONS, made, strict=True):
-        with column, st.container(border=True, height="stretch"):
+    grid = st.container(horizontal=True, key="cards")
+    for question, card in zip(QUESTIONS, made, strict=True):
+        with grid, st.container(border=True, height="stretch"):
             _card(question, card)
 
 

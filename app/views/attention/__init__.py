@@ -104,7 +104,7 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
     """The weights of all fits by age, with the returns, and the profile of one."""
     fits = profiles.env_step.tolist()
     left, right = st.columns([3, 2])
-    with left, st.container(border=True):
+    with left, st.container(border=True, height="stretch"):
         st.markdown("**Every fit**: weight by age, newest on top, and the returns")
         mode, loop = session.mode(), readers.loop(run)
 
@@ -118,7 +118,7 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
         chart(figure, "weight map", label, partial(_go_to, fits), follow=Follow(cursor=True))
         if run.small_copy and len(fits) >= FITS:
             st.caption(f"An example keeps {FITS} fits at most, spread over the run.")
-    with right, st.container(border=True):
+    with right, st.container(border=True, height="stretch"):
         st.markdown("**This fit**; dashed: every transition counts the same")
         top = float(np.nanmax(profiles.bins))  # of all fits, so that the axis stands still
         bins = profiles.bins[fits.index(fit)]

@@ -94,8 +94,7 @@ def _weighed(weighing: Weighing, rows: int) -> None:
     footprints = weighing.footprints
     if sentence := nearest({name: of[:, 0] for name, of in footprints.items()}):
         st.markdown(sentence)
-    left, right = st.columns([5, 4])
-    with left, st.container(border=True):
+    with st.container(border=True):
         st.markdown(
             f"**By the policy of {text.markdown(weighing.policy)}**: the dotted line ends the "
             "random data"
@@ -103,11 +102,11 @@ def _weighed(weighing: Weighing, rows: int) -> None:
         share = weighing.ordered_from / count
         figure = probe_profiles(weighings.profiles(of), share, 400, keep=weighing.name)
         chart(figure, "probe", "weight profiles of several learners on the same buffer")
-    with right, st.container(border=True):
+    with st.container(border=True):
         st.markdown("**What the weights come to**: medians over seeds")
         st.dataframe(
             table(weighing.medians, footprints),
-            hide_index=True, height="content", column_config=_columns(),
+            hide_index=True, width="content", height="content", column_config=_columns(),
         )  # fmt: skip
         st.caption(f"TOM with {text.markdown(weighing.settings)}. Weights have mean 1.")
 
