@@ -124,7 +124,7 @@ def loop_costs() -> list[Row]:
     blocks = [tuple(column[part] for column in columns) for part in parts]
     warm, cold = _call_us(columns, LOOP_CALLS, 0), _call_us(columns, LOOP_CALLS // 20, 4_000_000)
     with tempfile.TemporaryDirectory() as folder, record("a", env="Hopper-v5", store=folder) as run:
-        recorded = _cpu_us(blocks, lambda block: run.transitions(*block))
+        recorded = _cpu_us(blocks, lambda block: run.transitions(*block))  # pyright: ignore
     with tempfile.TemporaryDirectory() as folder:
         names = (Path(folder) / str(number) for number in count())
         saved = _cpu_us(blocks, lambda block: [*map(np.save, names, block)])

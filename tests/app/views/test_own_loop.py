@@ -87,9 +87,9 @@ def test_weights_of_the_loop_and_live_ones_are_shown_with_its_returns(run, by, f
 
 def test_curves_has_the_metrics_of_live_weights(store: Path):
     app = draw("curves", run="only-live", panel="weights/ess")
-    ess = loaded(store, "only-live").live["tom"].metrics["weights/ess"].dropna()
+    ess = loaded(store, "only-live").live["tom"].metrics["weights/ess"].dropna().tolist()
     drawn = [array(trace["y"]) for figure in figures(app) for trace in figure["data"]]
-    assert any(y.tolist() == pytest.approx(ess.tolist()) for y in drawn if len(y) == len(ess))
+    assert any(y.tolist() == pytest.approx(ess) for y in drawn if len(y) == len(ess))
 
 
 def test_live_weights_of_all_learners_are_compared(store: Path):
