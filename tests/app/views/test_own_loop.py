@@ -94,7 +94,7 @@ def test_curves_has_the_metrics_of_live_weights(store: Path):
 
 def test_live_weights_of_all_learners_are_compared(store: Path):
     app = draw("attention", run="live", part="Every learner on one buffer")
-    ess = app.dataframe[0].value.set_index("learner")["ESS"]
+    ess = app.dataframe[0].value.set_index("learner")["ESS"].to_dict()
     for learner, live in loaded(store, "live").live.items():
         weight = live.weights()["weight"].to_numpy()
         expected = weight.sum() ** 2 / (weight**2).sum() / 400
