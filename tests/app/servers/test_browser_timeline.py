@@ -70,7 +70,8 @@ def test_the_timeline_moves_numbers_and_profile_before_the_server_hears_of_it(
         if at == len(stops) - 2:
             assert "step" not in shown["address"]
     settle(page, f"step={stops[0]}")
-    assert page.locator(".readout dd").first.inner_text() == f"{fits[0]:,}"
+    number = page.locator(".readout dd").first
+    until(page, lambda: number.inner_text() == f"{fits[0]:,}", "the server's fit is another")
     assert moved(page, "ArrowRight")["step"] == stops[1]
     settle(page, f"step={stops[1]}" if len(stops) > 2 else f"run={PENDULUM_TOM}")
     page.go_back()
@@ -79,6 +80,9 @@ def test_the_timeline_moves_numbers_and_profile_before_the_server_hears_of_it(
     before = len(seen(page))
     page.get_by_role("button", name="Play", exact=True).click()
     page.wait_for_url(lambda address: "step" not in address)  # the end is where it stands usually
-    assert [one["step"] for one in seen(page)[before:]][: len(stops)] == stops
+    played = [one["step"] for one in seen(page)[before:]]  # by the clock: a slow browser leaves out
+    played = played[: played.index(stops[-1]) + 1]
+    assert played[0] == stops[0]
+    assert played == sorted({*played} & {*stops})
     assert page.locator(".timeline output").inner_text() == f"step {stops[-1]:,}"
     page.get_by_role("button", name="Play", exact=True).wait_for()  # and no longer Pause

@@ -78,8 +78,8 @@ def test_runs_are_named_that_sat_no_exam(own: Path) -> None:
         (0.6, 0.4, 0.1, "nearer"),
         (0.95, 0.4, -0.1, "noise"),
         (1.5, 0.4, 0.1, "away"),
-        (0.1, 0.002, 1.2, "nothing"),
-        (None, -0.01, None, "nothing"),
+        (0.1, 0.002, 1.2, "cannot"),
+        (None, -0.01, None, "cannot"),
         (None, None, None, "few"),
     ],
 )
