@@ -151,6 +151,6 @@ def test_a_run_whose_profiles_are_damaged_is_named(own: Path) -> None:
 @pytest.mark.parametrize("bins", [3, 7, 64, 100])
 def test_the_newest_fifth_is_a_fifth_for_any_number_of_bins(bins: int) -> None:
     weights = np.stack([np.ones(bins), np.eye(bins)[-1], np.zeros(bins)])
-    step = np.arange(3)
-    share = newest_share(Profiles(step, weights, step, step, step, step))
+    step, some = np.arange(3), np.ones(3)
+    share = newest_share(Profiles(step, weights, step, some, some, step))
     assert share == pytest.approx([0.2, min(1, 0.2 * bins), np.nan], nan_ok=True)
