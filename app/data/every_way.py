@@ -54,6 +54,16 @@ class EveryWay:
     """what is drawn, n, and what is left out"""
 
 
+def every_ways(listed: Sequence[Study]) -> dict[str, EveryWay]:
+    """`every_way` of each footprint study with the capacity study whose name ends alike, by that
+    ending: `footprint` goes with `capacity`, `footprint-ways` with `capacity-ways`."""
+    alike: dict[str, list[Study]] = {}
+    for study in listed:
+        alike.setdefault(study.name.removeprefix(study.verb), []).append(study)
+    found = {ending: every_way(of) for ending, of in alike.items()}
+    return {ending: one for ending, one in found.items() if one is not None}
+
+
 def every_way(listed: Sequence[Study]) -> EveryWay | None:
     """The ways at the moments that both studies have; None without such moments."""
     tables = {

@@ -8,7 +8,7 @@ import streamlit as st
 
 from app import glossary, session, text
 from app.data import studies, trainings
-from app.data.every_way import QUESTION, every_way
+from app.data.every_way import QUESTION, every_ways
 from app.data.studies import QUESTIONS, Study
 from app.data.trainings import Started
 from app.data.verdicts import verdict
@@ -54,19 +54,19 @@ def page(scope: Scope) -> None:
 
 def _every_way(listed: list[Study]) -> None:
     """All ways of weighing by their distance and their model's error, where both are known."""
-    found = every_way(listed)
-    if found is None:
-        return
-    with st.container(border=True):
-        st.header(QUESTION, anchor=False)
-        _answer(found.word, found.sentence)
-        chart(
-            two_axes(found.panels, 430, "every way"), "every way",
-            "every way of weighing: distance to the policy, and its model's error",
-            caption=f"{QUESTION} {found.sentence} {found.caption}",
-        )  # fmt: skip
-        st.caption(text.markdown(found.caption), width=WIDE)
-        _against(found.against)
+    for ending, found in every_ways(listed).items():
+        with st.container(border=True):
+            st.header(QUESTION, anchor=False)
+            if ending:
+                st.caption(text.markdown(f"footprint{ending}, capacity{ending}"))
+            _answer(found.word, found.sentence)
+            chart(
+                two_axes(found.panels, 430, f"every way{ending}"), f"every way{ending}",
+                "every way of weighing: distance to the policy, and its model's error",
+                caption=f"{QUESTION} {found.sentence} {found.caption}",
+            )  # fmt: skip
+            st.caption(text.markdown(found.caption), width=WIDE)
+            _against(found.against)
 
 
 def _answer(word: str, sentence: str) -> None:

@@ -9,16 +9,14 @@ import pandas as pd
 import pytest
 
 from app.data import studies
-from app.data.every_way import EveryWay, every_way
+from app.data.every_way import EveryWay, every_ways
 
 GALLERY = Path(__file__).parents[3] / "runs" / "studies"
 KEY = ["env", "recording", "step"]
 
 
 def of(folder: Path) -> EveryWay:
-    found = every_way(studies.listing(folder))
-    assert found is not None
-    return found
+    return every_ways(studies.listing(folder))[""]
 
 
 def read(study: str) -> Any:
@@ -67,4 +65,12 @@ def test_the_answer_is_yes_where_a_way_is_better_on_both_axes(
     near[near["env"] == "hopper"].to_csv(tmp_path / "footprint" / "moments.csv", index=False)
     assert [panel.env for panel in of(tmp_path).panels] == ["hopper"]
     (tmp_path / "footprint" / "moments.csv").write_text("way\nuniform\n")  # of another version
-    assert every_way(studies.listing(tmp_path)) is None
+    assert not every_ways(studies.listing(tmp_path))
+
+
+def test_studies_whose_names_end_alike_belong_together(tmp_path: Path):
+    for name, ending in (("footprint", ""), ("footprint", "-b"), ("capacity", "-b")):
+        shutil.copytree(GALLERY / name, tmp_path / f"{name}{ending}")
+    listed = studies.listing(tmp_path)
+    assert [*every_ways(listed)] == ["-b"]
+    assert every_ways(listed)["-b"] == of(GALLERY)
