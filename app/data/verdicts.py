@@ -66,7 +66,7 @@ def verdict(study: Study) -> Verdict | None:
     }
     try:
         return None if rule is None else rule(tables)
-    except (KeyError, ValueError, StopIteration):  # tables of another version
+    except (LookupError, ValueError, StopIteration):  # tables of another version
         return None
 
 
@@ -117,7 +117,8 @@ def _capacity(tables: Tables) -> Verdict:
         for row in tables["head-to-head"]
         if row["against"] == "uniform" and row["way"] in LABELS
     ]
-    ours = [row for row in table if row["way"] in (PRINTED, MENDED)]
+    of_tom = [row for row in table if row["way"] in (PRINTED, MENDED)]
+    ours, whose = (of_tom, "TOM's") if of_tom else (table, "These")
     models = list(dict.fromkeys(row["model"] for row in ours))
     less = [m for m in models if all(row["high"] < 1 for row in ours if row["model"] == m)]
     cost = [
@@ -126,7 +127,7 @@ def _capacity(tables: Tables) -> Verdict:
         if row["model"] == models[-1] and not WAYS[row["way"]].half
     ]
     sentence = (
-        f"TOM's weights lower the model's error where the policy goes for "
+        f"{whose} weights lower the model's error where the policy goes for "
         f"{' and '.join(less) or 'no model'} (units x layers). The error of {models[-1]} is "
         f"{' and '.join(cost)} what it is with uniform weights."
     )

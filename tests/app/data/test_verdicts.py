@@ -50,6 +50,13 @@ def test_the_least_p_is_corrected_for_all_tests_that_are_shown():
     assert f"{len(shown) * min(shown):.2g}" in found.against
 
 
+def test_a_study_without_tom_is_judged_by_the_ways_it_has():
+    found = of("capacity-ways")
+    assert {point.learner for point in found.points} == {"policy-distance", "pmer"}
+    assert found.word == "No"  # one errs more, the other no less
+    assert of("footprint-ways").word == "Yes"
+
+
 @pytest.mark.parametrize(
     ("wins", "p", "word"),
     [(0.9, 0.01, "Yes"), (0.1, 0.01, "No"), (0.9, 0.2, "No difference seen")],
