@@ -122,7 +122,7 @@ class Run:
         if not self.reader.has_policy(step):
             return {}
         policy = read_policy(self.reader.path / layout.policy(step))
-        return {DISTANCE: distances(policy, rows.torch())}
+        return {DISTANCE: distances(policy.mean, rows.torch())}
 
     def _weighed(self, end: int, count: int, recorded: int) -> dict[str, NDArray]:
         """The weights that weighings of the same rows made, the newest by name."""

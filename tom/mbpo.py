@@ -18,20 +18,12 @@ from torch import Tensor
 from tom.config import OnlineConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.transitions import TensorTransitions
-from tom.dynamics import make_model
+from tom.dynamics import FitReport, make_model
 from tom.dynamics.ending import EndingHead
 from tom.envs import Task, task
 from tom.envs.environment import capture, restore, simulated
 from tom.envs.termination import learns_ends, rule
-from tom.events import (
-    Collected,
-    Evaluation,
-    Event,
-    Metrics,
-    Notice,
-    Tick,
-    TrainedPolicy,
-)
+from tom.events import Collected, Evaluation, Event, Metrics, Notice, Tick, TrainedPolicy
 from tom.exams.diagnostics import errors_of_rows, fit_metrics
 from tom.exams.exam import Exam, Fitted, critic_metrics, footprint_metrics, model_metrics
 from tom.learners import make_learner
@@ -112,29 +104,22 @@ class Mbpo:
         weighting = self.learner.weigh(context)
         policy = policy_arrays(self.config.env, self.sac)
         yield weighting.event(self.env_step, policy)
-        report = self.model.fit(
-            context.replay,
-            *weighting.for_fit(self.config.model),
-            self.streams.torch("fit"),
-        )
+        fit_weights = weighting.for_fit(self.config.model)
+        report = self.model.fit(context.replay, *fit_weights, self.streams.torch("fit"))
         self._fitted = Fitted(self.env_step, weighting.counted(self.config.model))
-        ends, ends_notices = self.fit_ends(context.replay, weighting)
+        ends = self.fit_ends(context.replay, weighting)
         rollout_metrics = self.roll_out_model(context.replay, weighting)
         heavy = heavy_row(weighting.for_starts(self.config.rollout))
-        for kind, message in (*weighting.notices, *heavy, *report.notices, *ends_notices):
+        for kind, message in (*weighting.notices, *heavy, *report.notices, *ends.notices):
             yield Notice(self.env_step, kind, message)
         diagnostics = fit_metrics(self.model, context, weighting, self.streams.torch("diagnostics"))
-        yield Metrics(
-            self.env_step,
-            {**weighting.metrics, **report.metrics, **ends, **rollout_metrics, **diagnostics},
-        )
+        measured = {**weighting.metrics, **report.metrics, **ends.metrics}
+        yield Metrics(self.env_step, measured | rollout_metrics | diagnostics)
 
-    def fit_ends(
-        self, replay: TensorTransitions, weighting: Weighting
-    ) -> tuple[dict[str, float], tuple[tuple[str, str], ...]]:
-        """Fit the head that learns ends of episodes, if there is one; its metrics and notices."""
+    def fit_ends(self, replay: TensorTransitions, weighting: Weighting) -> FitReport:
+        """Fit the head that learns ends of episodes, if there is one."""
         if self.ending is None:
-            return {}, ()
+            return FitReport({})
         weights = weighting.counted(self.config.model)
         collected = self.replay.total_added
         return self.ending.fit(replay, weights, collected, self.streams.torch("ends"))
@@ -277,7 +262,7 @@ class Mbpo:
         if self.ending is not None:
             self.ending.load_state_dict(state["ending"])
         self._states = list(zip(*(part.numpy() for part in state.get("states", ())), strict=True))
-        if fitted := state.get("fitted"):  # missing in checkpoints from before exams existed
+        if fitted := state["fitted"]:
             weights = fitted["weights"].to(self.streams.device)
             self._fitted = Fitted(fitted["env_step"], weights)
 

@@ -245,9 +245,9 @@ class Offline:
             state["weights"],
             state["per_dim"],
             state["log_ratio"],
-            of_recorded(state.get("terms", {})),  # this and the rest: missing in older checkpoints
-            ready=state.get("ready", True),
-            clipped=state.get("clipped", False),
+            of_recorded(state["terms"]),
+            ready=state["ready"],
+            clipped=state["clipped"],
         )
         self.model = LinearModel(state["coefficients"])
         self._sac_metrics = state["sac_metrics"]

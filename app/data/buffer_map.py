@@ -104,7 +104,7 @@ def distances(run: RunReader, source: Source) -> buffer.Floats | None:
     def make() -> buffer.Floats | None:
         policy = buffer.stored_policy(run, int(source.label))
         rows = buffer.recorded(run).rows[source.first : source.end].torch()
-        return None if policy is None else policy_distances(policy, rows).astype(np.float64)
+        return None if policy is None else policy_distances(policy.mean, rows).astype(np.float64)
 
     version = run.version("buffer"), source.version
     return _DISTANCES.get((run.path, source.label), make, version)

@@ -299,7 +299,7 @@ def plan_weighing(
         data=replace(
             rows,
             card=replace(rows.card, policy=asked(by, rows)),
-            policy_distance=distances(by, rows.transitions),
+            policy_distance=distances(by.mean, rows.transitions),
         ),
         known=known,
         policy=by,

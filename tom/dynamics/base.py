@@ -1,7 +1,6 @@
 """The interface of a dynamics model: a weighted fit, samples and the mean prediction."""
 
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -9,11 +8,10 @@ from torch import Tensor
 from tom.data.transitions import TensorTransitions
 
 
-@dataclass(frozen=True)
-class FitReport:
+class FitReport(NamedTuple):
     """The result of a fit: metrics by path, and (kind, message) notices for the run's record."""
 
-    metrics: dict[str, float] = field(default_factory=dict)
+    metrics: dict[str, float]
     notices: tuple[tuple[str, str], ...] = ()
 
 

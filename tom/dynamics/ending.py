@@ -17,6 +17,7 @@ from tom.config import ModelConfig
 from tom.data.sampling import WeightedSampler, uniform_indices
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
+from tom.dynamics.base import FitReport
 from tom.nn.mlp import StackedMLP
 from tom.nn.trained import Trained
 
@@ -63,8 +64,8 @@ class EndingHead:
         weights: Tensor,
         collected: int,
         generator: torch.Generator,
-    ) -> tuple[dict[str, float], tuple[tuple[str, str], ...]]:
-        """Fit to transitions with weights (N,), as the model's; returns metrics and notices.
+    ) -> FitReport:
+        """Fit to transitions with weights (N,), as the model's.
 
         The transitions are the last of all those that were ever `collected`. While those that are
         not held out contain no end of an episode, nothing is learnt and no episode ends. If none of
@@ -74,7 +75,7 @@ class EndingHead:
         held, kept = self._split(rows, collected)
         if not bool(label[kept].any()):
             self.threshold = NEVER
-            return {"model/ends_threshold": NEVER}, ()
+            return FitReport({"model/ends_threshold": NEVER})
         notices: tuple[tuple[str, str], ...] = ()
         if not bool((weights * label)[kept].any()):
             weights, notices = torch.ones_like(weights), (UNWEIGHTED,)
@@ -89,7 +90,7 @@ class EndingHead:
         label, weights = label[judges], weights[judges]
         self.threshold = best_threshold(p, label, weights)
         metrics = measured(p, label, weights, self.threshold) if judged else {}
-        return {"model/ends_threshold": self.threshold, **metrics}, notices
+        return FitReport({"model/ends_threshold": self.threshold, **metrics}, notices)
 
     def state_dict(self) -> dict[str, Any]:
         return {

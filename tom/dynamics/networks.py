@@ -20,10 +20,8 @@ class Mdn(NeuralDynamics):
     p(y_d | x) = sum_k softmax(l_d)_k N(y_d; mean_dk, exp(log_var_dk)), K components.
     """
 
-    def __init__(
-        self, obs_dim: int, action_dim: int, config: ModelConfig, generator: torch.Generator
-    ) -> None:
-        super().__init__(obs_dim, action_dim, 3 * config.components, 1, config, generator)
+    def outputs_and_networks(self) -> tuple[int, int]:
+        return 3 * self.config.components, 1
 
     # Components come before dimensions, (E, B, K, D), so that sums over K run over whole vectors.
 
@@ -83,7 +81,10 @@ class GaussianEnsemble(_Ensemble):
         bound = torch.ones(config.members, 1, 1 + obs_dim, device=generator.device)
         self.max_log_var = (0.5 * bound).requires_grad_()
         self.min_log_var = (-10.0 * bound).requires_grad_()
-        super().__init__(obs_dim, action_dim, 2, config.members, config, generator)
+        super().__init__(obs_dim, action_dim, config, generator)
+
+    def outputs_and_networks(self) -> tuple[int, int]:
+        return 2, self.config.members
 
     def extra_parameters(self) -> list[Tensor]:
         return [self.max_log_var, self.min_log_var]
@@ -118,19 +119,16 @@ class MeanEnsemble(_Ensemble):
     the balance of state and reward differs from VaGram's. The first round is plain MSE.
     """
 
-    def __init__(
-        self, obs_dim: int, action_dim: int, config: ModelConfig, generator: torch.Generator
-    ) -> None:
-        super().__init__(obs_dim, action_dim, 1, config.members, config, generator)
+    plain_first_round = True
+
+    def outputs_and_networks(self) -> tuple[int, int]:
+        return 1, self.config.members
 
     def loss_per_dim(self, output: Tensor, target: Tensor) -> Tensor:
         return (output - target).square()
 
     def nll(self, rows: TensorTransitions) -> None:
         """None: this model predicts no distribution."""
-
-    def uses_dim_weights(self, first_round: bool) -> bool:
-        return not first_round
 
     def mean(self, output: Tensor) -> Tensor:
         return output

@@ -6,6 +6,7 @@ Subclasses define the distribution and its loss (`networks`).
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import torch
@@ -37,25 +38,22 @@ def soft_bound(x: Tensor, low: Tensor | float, high: Tensor | float) -> Tensor:
 class NeuralDynamics:
     """E stacked networks and their fit; subclasses define the meaning of the outputs."""
 
+    plain_first_round = False
+    """whether per-dimension weights do not count in the first round of a fit"""
+
     def __init__(
-        self,
-        obs_dim: int,
-        action_dim: int,
-        outputs_per_dim: int,
-        ensemble: int,
-        config: ModelConfig,
-        generator: torch.Generator,
+        self, obs_dim: int, action_dim: int, config: ModelConfig, generator: torch.Generator
     ) -> None:
         self.config = config
         self.obs_dim = obs_dim
         self.targets = 1 + obs_dim  # reward first
-        self.ensemble = ensemble
+        outputs_per_dim, self.ensemble = self.outputs_and_networks()
         hidden = [config.hidden] * config.layers
         sizes = [obs_dim + action_dim, *hidden, self.targets * outputs_per_dim]
-        self.net = StackedMLP(ensemble, sizes, silu, generator)
+        self.net = StackedMLP(self.ensemble, sizes, silu, generator)
         self.input_scaling = Scaling.identity(obs_dim + action_dim, generator.device)
         self.target_scaling = Scaling.identity(self.targets, generator.device)
-        self.elites = torch.arange(min(config.elites, ensemble), device=generator.device)
+        self.elites = torch.arange(min(config.elites, self.ensemble), device=generator.device)
         self.optimiser = Adam(self.parameters(), config.lr, self.weight_decay())
 
     def parameters(self) -> list[Tensor]:
@@ -63,6 +61,10 @@ class NeuralDynamics:
         return [*self.net.tensors(), *self.extra_parameters()]
 
     # Defined by subclasses
+
+    def outputs_and_networks(self) -> tuple[int, int]:
+        """Raw outputs for each target dimension, and the number of networks E."""
+        raise NotImplementedError
 
     def loss_per_dim(self, output: Tensor, target: Tensor) -> Tensor:
         """Loss of each target dimension, (E, B, 1 + O), from raw outputs and z-scored targets."""
@@ -88,10 +90,6 @@ class NeuralDynamics:
         """L2 coefficient of all `parameters()`, or one for each."""
         return 0.0
 
-    def uses_dim_weights(self, first_round: bool) -> bool:
-        """Whether per-dimension weights scale the loss, in the first round of a fit or later."""
-        return True
-
     # Fitting
 
     @torch.no_grad()
@@ -110,10 +108,55 @@ class NeuralDynamics:
         round counts as one. The fit stops after more than `patience` rounds in a row without a
         gain. If no row to train on has any weight, all have the same, and a notice says so.
         """
-        state = _Fit(self, data, weights, per_dim, generator)
-        while state.goes_on:
-            state.round()
-        return state.report()
+        config = self.config
+        notices: tuple[tuple[str, str], ...] = ()
+        train, held = split(len(data), config, generator)
+        if not bool(weights[train].any()):
+            weights, notices = torch.ones_like(weights), (UNWEIGHTED,)
+        if per_dim is not None:  # the reward, first, always counts 1
+            per_dim = torch.cat([torch.ones_like(per_dim[:, :1]), per_dim], -1)
+        self._fit_scales(data, train)
+        sampler = WeightedSampler(weights[train], generator) if config.weights == "sample" else None
+
+        def minibatches(plain: bool) -> Iterator[Iterable[Tensor]]:
+            """The arguments of `step` for a round; each network draws its own rows."""
+            shape = config.batches_per_round, self.ensemble, config.batch_size
+            n = shape[0] * shape[1] * shape[2]
+            drawn = sampler.draw(n) if sampler else uniform_indices(len(train), n, generator)
+            for index in train[drawn].view(shape).split(block_size(self.device, BLOCK, GPU_BLOCK)):
+                at = index.flatten()
+                rows = data[at]
+                parts = [self.inputs(rows), self.scaled_targets(rows)]
+                parts += [] if per_dim is None or plain else [per_dim[at]]
+                parts += [] if sampler else [weights[at].unsqueeze(-1)]
+                yield from zip(*(part.view(*index.shape, -1) for part in parts), strict=True)
+
+        x, y = self.inputs(data[held]), self.scaled_targets(data[held])
+        judged = x, y, weights[held], None if per_dim is None else per_dim[held]
+        best = _Best(self, config.min_gain)
+        best.keep(holdout_loss(self, *judged))
+        rounds, idle, loss = 0, 0, torch.tensor(float("nan"))
+        while rounds < config.rounds and idle <= config.patience:
+            loss = torch.zeros((), device=self.device)
+            for batch in minibatches(self.plain_first_round and rounds == 0):
+                loss += self.step(*batch).sum()
+            idle = 0 if best.offer(holdout_loss(self, *judged)) else idle + 1
+            rounds += 1
+        best.restore()
+        self.elites = best.losses.argsort()[: len(self.elites)]
+        train_loss = float(loss) / (config.batches_per_round * self.ensemble)
+        metrics = {"model/train_nll": train_loss, "model/rounds": float(rounds)}
+        return FitReport(metrics | self._holdout_metrics(x, y, best.losses), notices)
+
+    def _holdout_metrics(self, x: Tensor, y: Tensor, losses: Tensor) -> dict[str, float]:
+        """The elites' metrics on held-out inputs and targets, where the losses are (E,)."""
+        output, elites = self.outputs(x), self.elites
+        error = self.mean(output)[elites].mean(0) - y
+        return {
+            "model/holdout_nll": float(losses[elites].mean()),
+            "model/holdout_nll_uniform": float(self.loss_per_dim(output, y)[elites].mean()),
+            "model/holdout_mse": float(error.square().mean()),
+        }
 
     @property
     def device(self) -> torch.device:
@@ -144,7 +187,7 @@ class NeuralDynamics:
         change = torch.cat([rows.reward.unsqueeze(-1), rows.next_obs - rows.obs], -1)
         return self.target_scaling(change)
 
-    def fit_scales(self, data: TensorTransitions, rows: Tensor) -> None:
+    def _fit_scales(self, data: TensorTransitions, rows: Tensor) -> None:
         """Scale inputs and targets by the moments of these rows (n,) of the data."""
         self.input_scaling = Scaling.of((data.obs, data.action), rows=rows)
         change = data.next_obs, data.obs
@@ -235,101 +278,6 @@ def split(n: int, config: ModelConfig, generator: torch.Generator) -> tuple[Tens
     held = min(int(n * config.holdout), config.holdout_max)
     order = torch.randperm(n, generator=generator, device=generator.device)
     return order[held:], order[: max(held, 1)]
-
-
-class _Fit:
-    """The state of a fit."""
-
-    def __init__(
-        self,
-        model: NeuralDynamics,
-        data: TensorTransitions,
-        weights: Tensor,
-        per_dim: Tensor | None,
-        generator: torch.Generator,
-    ) -> None:
-        self.model, self.data, self.generator = model, data, generator
-        self.config = model.config
-        self.weights = weights
-        self.per_dim = per_dim
-        self.train, held = split(len(data), self.config, generator)
-        self._notices: tuple[tuple[str, str], ...] = ()
-        if not bool(self.weights[self.train].any()):
-            self.weights, self._notices = torch.ones_like(self.weights), (UNWEIGHTED,)
-        model.fit_scales(data, self.train)
-        rows = data[held]
-        self._held = model.inputs(rows), model.scaled_targets(rows)
-        self._held_weights = self.weights[held], self._dims(held)
-        self._sampler = None
-        if self.config.weights == "sample":
-            self._sampler = WeightedSampler(self.weights[self.train], generator)
-        self._best = _Best(model, self.config.min_gain)
-        self._best.keep(holdout_loss(model, *self._held, *self._held_weights))
-        self._rounds = self._idle = 0
-        self._train_loss = torch.tensor(float("nan"))
-
-    @property
-    def goes_on(self) -> bool:
-        return self._rounds < self.config.rounds and self._idle <= self.config.patience
-
-    def round(self) -> None:
-        """Gradient steps on the round's minibatches; the networks that improved are kept."""
-        plan, size = self._plan(), block_size(self.weights.device, BLOCK, GPU_BLOCK)
-        self._train_loss = torch.zeros((), device=self.weights.device)
-        for block in plan.split(size):
-            for batch in zip(*self._gather(block), strict=True):
-                self._train_loss += self.model.step(*batch).sum()
-        losses = holdout_loss(self.model, *self._held, *self._held_weights)
-        self._idle = 0 if self._best.offer(losses) else self._idle + 1
-        self._rounds += 1
-
-    def _plan(self) -> Tensor:
-        """Row numbers (batches of the round, E, B); each network draws its own."""
-        shape = self.config.batches_per_round, self.model.ensemble, self.config.batch_size
-        n = shape[0] * shape[1] * shape[2]
-        if self._sampler:
-            drawn = self._sampler.draw(n)
-        else:
-            drawn = uniform_indices(len(self.train), n, self.generator)
-        return self.train[drawn].view(shape)
-
-    def _gather(self, index: Tensor) -> list[Tensor]:
-        """Inputs, targets and the loss's factors of rows (n, E, B), each (n, E, B, ...)."""
-        rows = self.data[index.flatten()]
-        parts = [self.model.inputs(rows), self.model.scaled_targets(rows)]
-        dims = self._dims(index.flatten())
-        if dims is not None and self.model.uses_dim_weights(self._rounds == 0):
-            parts.append(dims)
-        if self.config.weights == "scale":
-            parts.append(self.weights[index.flatten()].unsqueeze(-1))
-        return [part.view(*index.shape, -1) for part in parts]
-
-    def report(self) -> FitReport:
-        """Restore the best networks."""
-        self._best.restore()
-        model, (x, y), losses = self.model, self._held, self._best.losses
-        model.elites = losses.argsort()[: len(model.elites)]
-        steps = self.config.batches_per_round * model.ensemble
-        output = model.outputs(x)
-        uniform = model.loss_per_dim(output, y)[model.elites].mean()
-        error = model.mean(output)[model.elites].mean(0) - y
-        return FitReport(
-            {
-                "model/train_nll": float(self._train_loss) / steps,
-                "model/holdout_nll": float(losses[model.elites].mean()),
-                "model/rounds": float(self._rounds),
-                "model/holdout_nll_uniform": float(uniform),
-                "model/holdout_mse": float(error.square().mean()),
-            },
-            self._notices,
-        )
-
-    def _dims(self, index: Tensor) -> Tensor | None:
-        """Per-dimension weights of rows, (n, 1 + O): the reward, first, always counts 1."""
-        if self.per_dim is None:
-            return None
-        rows = self.per_dim[index]
-        return torch.cat([torch.ones_like(rows[:, :1]), rows], -1)
 
 
 class _Best:

@@ -30,4 +30,4 @@ class ActionRatioLearner(Stateless):
         log_ratio = Behaviour.of(context, every).log_ratio(context.replay.action)
         clipped = (log_ratio.exp() > self.config.clip).to(log_ratio).mean()
         weights = ratio_weights(log_ratio, self.config.clip)
-        return weighted(weights, {"behaviour/clipped": float(clipped)})
+        return weighted(weights, metrics={"behaviour/clipped": float(clipped)})

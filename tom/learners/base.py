@@ -5,7 +5,7 @@ weight of each transition (and dimension).
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 import torch
@@ -166,11 +166,14 @@ def uniform(replay: TensorTransitions, ready: bool) -> Weighting:
     return Weighting(torch.ones(len(replay), device=replay.obs.device), ready=ready)
 
 
-def weighted(raw: Tensor, metrics: Mapping[str, float] | None = None) -> Weighting:
-    """Weights (N,) of any mean, scaled to 1; uniform, with a notice, if they are degenerate."""
+def weighted(raw: Tensor, **others: Any) -> Weighting:
+    """Weights (N,) of any mean, scaled to 1; uniform, with a notice, if they are degenerate.
+
+    `others` are further fields of the `Weighting`.
+    """
     weights, degenerate = normalise(raw)
     notices = (DEGENERATE,) if degenerate else ()
-    return Weighting(weights, ready=not degenerate, metrics=metrics or {}, notices=notices)
+    return Weighting(weights, ready=not degenerate, notices=notices, **others)
 
 
 DEGENERATE = (
@@ -196,6 +199,24 @@ class Learner(Protocol):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
         ...
+
+
+class Counting:
+    """A learner that counts the fits whose weights were degenerate."""
+
+    degenerate = 0
+
+    def counted(self, weighting: Weighting) -> Weighting:
+        """The same, with the count so far as a metric."""
+        self.degenerate += DEGENERATE in weighting.notices
+        count = {"weights/degenerate": float(self.degenerate)}
+        return replace(weighting, metrics={**weighting.metrics, **count})
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"degenerate": self.degenerate}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.degenerate = state["degenerate"]
 
 
 class Stateless:

@@ -10,7 +10,7 @@ space of fewer dimensions.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -26,8 +26,6 @@ from tom.nn.trained import Average, Trained
 CHUNK = 1024  # rows evaluated at once; they stay in the processor's cache
 BLOCK, GPU_BLOCK = 32, 100  # minibatches gathered at once
 
-Inputs = Literal["transitions", "state-actions"]
-
 
 def discriminator_net(
     obs_dim: int, action_dim: int, config: TomConfig, generator: torch.Generator
@@ -42,8 +40,11 @@ def discriminator_net(
 class Discriminator(Trained):
     """The network and its optimiser."""
 
-    def __init__(self, net: StackedMLP, config: TomConfig) -> None:
-        super().__init__(net, config.discriminator_lr)
+    def __init__(
+        self, obs_dim: int, action_dim: int, config: TomConfig, generator: torch.Generator
+    ) -> None:
+        self.fresh = partial(discriminator_net, obs_dim, action_dim, config)
+        super().__init__(self.fresh(generator), config.discriminator_lr)
         self.config = config
 
     def step(self, positive: Tensor, negative: Tensor, *mix: Tensor) -> tuple[Tensor, Tensor]:
@@ -66,18 +67,15 @@ class RatioProblem:
 
     policy_buffer: TensorTransitions
     replay: TensorTransitions
+    config: TomConfig
     scaling: Scaling  # of (s, a, s' - s)
-    inputs: Inputs = "transitions"
 
     @classmethod
     def of(
-        cls,
-        policy_buffer: TensorTransitions,
-        replay: TensorTransitions,
-        inputs: Inputs = "transitions",
+        cls, policy_buffer: TensorTransitions, replay: TensorTransitions, config: TomConfig
     ) -> "RatioProblem":
         """The problem with inputs z-scored by the replay buffer's moments."""
-        return cls(policy_buffer, replay, Scaling.of_moves(replay), inputs)
+        return cls(policy_buffer, replay, config, Scaling.of_moves(replay))
 
     def solve(
         self, discriminator: Discriminator, generator: torch.Generator
@@ -86,26 +84,25 @@ class RatioProblem:
 
         The metrics are means over the last tenth of the steps.
         """
-        config = discriminator.config
-        average = Average(discriminator.net, config.parameter_average)
-        last = config.discriminator_steps - max(config.discriminator_steps // 10, 1)
+        steps = self.config.discriminator_steps
+        average = Average(discriminator.net, self.config.parameter_average)
+        last = steps - max(steps // 10, 1)
         losses, judged = [], []
-        for step, rows in enumerate(self._drawn(config, generator)):
+        for step, rows in enumerate(self.batches(generator)):
             loss, logits = discriminator.step(*rows)
             average.update()
             if step >= last:
                 losses.append(loss)
                 judged.append(logits.view(2, -1))
-        return average.net, _measures(losses, judged) if losses else {}
-
-    def _drawn(self, config: TomConfig, generator: torch.Generator) -> Iterator[tuple[Tensor, ...]]:
-        """The arguments of `Discriminator.step` for every step."""
-        for rows in self.batches(config, generator):
-            if config.gradient_penalty > 0:
-                mix = torch.rand(len(rows[0]), 1, generator=generator, device=generator.device)
-                yield *rows, mix.to(rows[0])
-            else:
-                yield rows
+        if not losses:
+            return average.net, {}
+        logits = torch.cat(judged, dim=1).flatten()
+        metrics = {
+            "discriminator/loss": float(torch.stack(losses).mean()),
+            "discriminator/accuracy": float(accuracy(logits)),
+            "discriminator/calibration": float(calibration_error(logits)),
+        }
+        return average.net, metrics
 
     @torch.no_grad()
     def log_ratio(self, net: StackedMLP) -> Tensor:
@@ -117,35 +114,31 @@ class RatioProblem:
             logits[i : i + size] = net(self._inputs(rows)[None])[0, :, 0]
         return logits
 
-    def batches(
-        self, config: TomConfig, generator: torch.Generator
-    ) -> Iterator[tuple[Tensor, Tensor]]:
-        """Inputs from the policy buffer and from the replay buffer, (B, D) each, for every step."""
-        size, steps = config.discriminator_batch, config.discriminator_steps
+    def batches(self, generator: torch.Generator) -> Iterator[tuple[Tensor, ...]]:
+        """The arguments of `Discriminator.step` for every step.
+
+        (B, D) inputs from the policy buffer and from the replay buffer, and a penalty's `mix`.
+        """
+        size, steps = self.config.discriminator_batch, self.config.discriminator_steps
         block = block_size(self.replay.obs.device, BLOCK, GPU_BLOCK)
         for first in range(0, steps, block):
             n = min(block, steps - first)
             drawn = []
             for buffer in (self.policy_buffer, self.replay):
                 index = uniform_indices(len(buffer), n * size, generator)
-                drawn.append(self._inputs(buffer[index.to(buffer.obs.device)]).split(size))
-            yield from zip(*drawn, strict=True)
+                drawn.append(self._inputs(buffer[index]).split(size))
+            for rows in zip(*drawn, strict=True):
+                if self.config.gradient_penalty > 0:
+                    yield *rows, torch.rand(size, 1, generator=generator, device=generator.device)
+                else:
+                    yield rows
 
     def _inputs(self, rows: TensorTransitions) -> Tensor:
         """z-scored (s, a, s' - s), (B, 2 O + A), or (s, a), (B, O + A)."""
-        if self.inputs == "state-actions":
+        if self.config.discriminator_input == "state-actions":
             now = torch.cat((rows.obs, rows.action), dim=1)
             return self.scaling.first(now.shape[1])(now)
         return self.scaling(rows.moves())
-
-
-def _measures(losses: list[Tensor], judged: list[Tensor]) -> dict[str, float]:
-    logits = torch.cat(judged, dim=1).flatten()
-    return {
-        "discriminator/loss": float(torch.stack(losses).mean()),
-        "discriminator/accuracy": float(accuracy(logits)),
-        "discriminator/calibration": float(calibration_error(logits)),
-    }
 
 
 def gradient_penalty(net: StackedMLP, x: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -91,8 +92,11 @@ def values_of(q: Tensor, batch: Batch, config: TomConfig) -> Values:
 class QFunction(Trained):
     """TOM's dual variable."""
 
-    def __init__(self, net: StackedMLP, config: TomConfig) -> None:
-        super().__init__(net, config.q_lr, config.q_weight_decay)
+    def __init__(
+        self, obs_dim: int, action_dim: int, config: TomConfig, generator: torch.Generator
+    ) -> None:
+        self.fresh = partial(q_net, obs_dim, action_dim, config)
+        super().__init__(self.fresh(generator), config.q_lr, config.q_weight_decay)
         self.config = config
 
     def step(self, bias_step: float, batch: Batch) -> Tensor:
@@ -137,17 +141,6 @@ class Validation:
 
 
 @dataclass(frozen=True)
-class Minimum:
-    """The outcome of minimising the dual."""
-
-    net: StackedMLP
-    """the last (or average) network; if episodes are held out, that of the lowest held-out loss"""
-    loss: float
-    """mean over the last tenth of the steps"""
-    metrics: dict[str, float]
-
-
-@dataclass(frozen=True)
 class DualProblem:
     """The data for Q: a replay buffer with its r, a policy and a start distribution.
 
@@ -166,8 +159,14 @@ class DualProblem:
     def flow(self) -> Flow:
         return Flow.of(self.config)
 
-    def minimise(self, q: QFunction, generator: torch.Generator) -> Minimum:
-        """Take the gradient steps on the dual, on training episodes alone if some are held out."""
+    def minimise(
+        self, q: QFunction, generator: torch.Generator
+    ) -> tuple[StackedMLP, dict[str, float]]:
+        """Take the gradient steps on the dual: the last (or average) network, and metrics.
+
+        If episodes are held out, only the others are trained on, and the network is that of the
+        lowest held-out loss. `dual/loss` is the mean over the last tenth of the steps.
+        """
         average = Average(q.net, self.config.parameter_average)
         problem, judge, source = self, None, generator
         if self.config.q_holdout:
@@ -181,18 +180,11 @@ class DualProblem:
             average.update()
             if judge and judge.ends(step):
                 break
-        loss = float(torch.stack(losses[-max(len(losses) // 10, 1) :]).mean())
-        if judge:
-            return Minimum(judge.best, loss, judge.metrics)
-        return Minimum(average.net, loss, {})
+        loss = {"dual/loss": float(torch.stack(losses[-max(len(losses) // 10, 1) :]).mean())}
+        return (judge.best, loss | judge.metrics) if judge else (average.net, loss)
 
     def split(self, generator: torch.Generator) -> "tuple[DualProblem, DualProblem]":
-        """The same problem on the training episodes, and on the held-out ones.
-
-        A buffer of one row is both.
-        """
-        if len(self.replay) == 1:
-            return self, self
+        """The same problem on the training episodes, and on the held-out ones."""
         held_out = held_out_rows(self.replay, self.config.q_holdout, generator)
         parts = (~held_out).nonzero().squeeze(1), held_out.nonzero().squeeze(1)
         return replace(self, drawn_from=parts[0]), replace(self, drawn_from=parts[1])
@@ -266,15 +258,20 @@ class DualProblem:
         block = block_size(self.replay.obs.device, BLOCK, GPU_BLOCK)
         for first in range(0, self.config.q_steps, block):
             n = min(block, self.config.q_steps - first)
-            index = self._draw_rows(n * size, generator)
-            start = self._draw(len(self.initial_obs), n * size, generator)
+            chosen = self.drawn_from
+            count = len(self.replay if chosen is None else chosen)
+            index = uniform_indices(count, n * size, generator)
+            index = index if chosen is None else chosen[index]
+            start = uniform_indices(len(self.initial_obs), n * size, generator)
             rows = self.replay[index]
             following, next_probs = self._policy_inputs(rows.next_obs, samples, generator)
             # One a0 for each s0 is enough: it enters as a mean over the batch, inside f* after ends
             # that restart, but a' alone for its row.
             starts, start_probs = self._policy_inputs(self.initial_obs[start], 1, generator)
             now = self._inputs(rows.obs, rows.action)[None]
-            inputs = torch.cat([_steps(x, n) for x in (now, following, starts)], dim=1)
+            # (K, n B, D), B rows for each of n steps -> (n, K B, D)
+            parts = [x.unflatten(1, (n, -1)).transpose(0, 1) for x in (now, following, starts)]
+            inputs = torch.cat([x.flatten(1, 2) for x in parts], dim=1)
             yield from map(
                 Batch,
                 inputs,
@@ -297,14 +294,6 @@ class DualProblem:
         actions, probs = policy_actions(self.policy, obs, n, generator)
         return self._inputs(obs.expand(len(actions), *obs.shape), actions), probs
 
-    def _draw_rows(self, n: int, generator: torch.Generator) -> Tensor:
-        if self.drawn_from is None:
-            return self._draw(len(self.replay), n, generator)
-        return self.drawn_from[self._draw(len(self.drawn_from), n, generator)]
-
-    def _draw(self, high: int, n: int, generator: torch.Generator) -> Tensor:
-        return uniform_indices(high, n, generator).to(self.replay.obs.device)
-
 
 def quantiles(values: Tensor, shares: Tensor) -> Tensor:
     """`torch.quantile` of values (N,) at shares (K,), without its limit of 2^24 rows."""
@@ -313,8 +302,3 @@ def quantiles(values: Tensor, shares: Tensor) -> Tensor:
     rank = torch.where(ordered[-1].isnan(), torch.full_like(rank, len(values) - 1), rank)
     below = rank.long()
     return ordered[below].lerp(ordered[rank.ceil().long()], rank - below)
-
-
-def _steps(inputs: Tensor, n: int) -> Tensor:
-    """(K, n B, D), B rows for each of n steps -> (n, K B, D)."""
-    return inputs.unflatten(1, (n, -1)).transpose(0, 1).flatten(1, 2)

@@ -61,4 +61,6 @@ class PdmlLearner(Stateless):
         distance = torch.bincount(of, bound) / count
         weight, exploration = policy_weights(distance, count, self.config)
         rows = torch.where(explored, exploration, weight[number.clamp(min=0)])
-        return weighted(rows.to(context.replay.obs), {"behaviour/policies": float(len(count))})
+        return weighted(
+            rows.to(context.replay.obs), metrics={"behaviour/policies": float(len(count))}
+        )

@@ -36,4 +36,4 @@ class PolicyDistanceLearner(Stateless):
         raw = torch.zeros_like(context.replay.reward)
         raw[chosen] = distance_weights(divergence, self.config.floor)
         known = {"behaviour/divergence": float(divergence.median())} if chosen.any() else {}
-        return weighted(raw, known)
+        return weighted(raw, metrics=known)

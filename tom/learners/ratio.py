@@ -8,12 +8,11 @@ from typing import Any
 import torch
 
 from tom.config import TomConfig
-from tom.data.sampling import normalise
-from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
-from tom.learners.discriminator import Discriminator, RatioProblem, discriminator_net
+from tom.learners.base import Counting, FitContext, Weighting, uniform, weighted
+from tom.learners.discriminator import Discriminator, RatioProblem
 
 
-class RatioLearner:
+class RatioLearner(Counting):
     """exp of the discriminator's logit, normalised; the settings are those of TOM's discriminator.
 
     Uniform, and not ready, until the policy has taken `config.warmup` steps in the environment.
@@ -23,35 +22,22 @@ class RatioLearner:
         self, config: TomConfig, obs_dim: int, action_dim: int, generator: torch.Generator
     ) -> None:
         self.config = config
-        self.dims = obs_dim, action_dim
-        self.discriminator = Discriminator(discriminator_net(*self.dims, config, generator), config)
-        self.degenerate = 0
+        self.discriminator = Discriminator(obs_dim, action_dim, config, generator)
 
     def weigh(self, context: FitContext) -> Weighting:
         if context.on_policy_steps < self.config.warmup:
             return uniform(context.replay, ready=False)
         if self.config.discriminator_reset:
-            fresh = discriminator_net(*self.dims, self.config, context.generator)
-            self.discriminator.restart(fresh)
-        ratio = RatioProblem.of(
-            context.policy_buffer, context.replay, self.config.discriminator_input
-        )
+            self.discriminator.restart(self.discriminator.fresh(context.generator))
+        ratio = RatioProblem.of(context.policy_buffer, context.replay, self.config)
         net, metrics = ratio.solve(self.discriminator, context.generator)
-        log_ratio = ratio.log_ratio(net)
-        weights, degenerate = normalise((log_ratio - log_ratio.max()).exp())
-        self.degenerate += degenerate
-        return Weighting(
-            weights=weights,
-            log_ratio=log_ratio,
-            ready=not degenerate,
-            clipped=True,
-            metrics={**metrics, "weights/degenerate": float(self.degenerate)},
-            notices=(DEGENERATE,) if degenerate else (),
-        )
+        r = ratio.log_ratio(net)
+        raw = (r - r.max()).exp()
+        return self.counted(weighted(raw, log_ratio=r, clipped=True, metrics=metrics))
 
     def state_dict(self) -> dict[str, Any]:
-        return {"discriminator": self.discriminator.state_dict(), "degenerate": self.degenerate}
+        return {"discriminator": self.discriminator.state_dict(), **super().state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.discriminator.load_state_dict(state["discriminator"])
-        self.degenerate = state["degenerate"]
+        super().load_state_dict(state)

@@ -4,7 +4,7 @@ Discriminator, dual Q, weights: lines 3-14 of the paper's Algorithm 2.
 `occupancy_weights` is the function for other programs; `TomLearner` is used by trainings.
 """
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,20 +12,14 @@ import torch
 from torch import Tensor
 
 from tom.config import TomConfig
-from tom.data.sampling import normalise
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions, Transitions
-from tom.learners.base import DEGENERATE, FitContext, Policy, Weighting, uniform
-from tom.learners.discriminator import (
-    Discriminator,
-    RatioProblem,
-    discriminator_net,
-    membership_reward,
-)
-from tom.learners.dual import DualProblem, QFunction, q_net
-from tom.learners.terms import Terms, divergence
+from tom.learners.base import Counting, FitContext, Policy, Weighting, uniform, weighted
+from tom.learners.discriminator import Discriminator, RatioProblem, membership_reward
+from tom.learners.dual import DualProblem, QFunction
+from tom.learners.terms import divergence
 
-__all__ = ["Occupancy", "TomConfig", "TomLearner", "occupancy_weights"]
+__all__ = ["TomConfig", "TomLearner", "occupancy_weights"]
 
 MAX_START_GAP = 1.0  # covered starts lie within Q's range, uncovered ones soon far below it
 RUNAWAY = (
@@ -43,89 +37,49 @@ ENDS_UNDER_KL = (
 """kind of the notice about KL on a buffer with terminated transitions"""
 
 
-@dataclass(frozen=True)
-class Occupancy:
-    """The weights (N,) of a replay buffer, mean 1, and the terms of each weight."""
-
-    weights: Tensor
-    terms: Terms
-    metrics: dict[str, float]
-    notices: tuple[tuple[str, str], ...]
-
-    @property
-    def log_ratio(self) -> Tensor:
-        """The r (N,) that was fed to Q."""
-        return self.terms.log_ratio
-
-
-class Networks:
-    """TOM's two networks for given dimensions; each can be restarted."""
-
-    def __init__(
-        self,
-        obs_dim: int,
-        action_dim: int,
-        config: TomConfig,
-        generator: torch.Generator,
-        device: torch.device | None = None,
-    ) -> None:
-        self.dims = obs_dim, action_dim
-        self.config = config
-        device = device or generator.device
-        net = discriminator_net(*self.dims, config, generator).to(device)
-        self.discriminator = Discriminator(net, config)
-        self.q = QFunction(q_net(*self.dims, config, generator).to(device), config)
-
-    def restart_discriminator(self, generator: torch.Generator) -> None:
-        self.discriminator.restart(discriminator_net(*self.dims, self.config, generator))
-
-    def restart_q(self, generator: torch.Generator) -> None:
-        self.q.restart(q_net(*self.dims, self.config, generator))
-
-
 def estimate(
-    networks: Networks,
+    discriminator: Discriminator,
+    q: QFunction,
     replay: TensorTransitions,
     policy_buffer: TensorTransitions,
     policy: Policy,
     initial_obs: Tensor,
     generator: torch.Generator,
-) -> Occupancy:
-    """Train the networks further and compute the weights of `replay` from them."""
-    config = networks.config
+) -> Weighting:
+    """Train the two networks further and compute the weights of `replay` from them."""
+    config = q.config
     metrics: dict[str, float] = {}
     if config.discriminator:
-        ratio = RatioProblem.of(policy_buffer, replay, config.discriminator_input)
-        net, metrics = ratio.solve(networks.discriminator, generator)
+        ratio = RatioProblem.of(policy_buffer, replay, config)
+        net, metrics = ratio.solve(discriminator, generator)
         log_ratio = ratio.log_ratio(net)
-        scaling = ratio.scaling.first(sum(networks.dims))  # of (s, a); (s' - s) comes after
     else:
         log_ratio = membership_reward(replay, policy_buffer)
-        scaling = Scaling.of((replay.obs, replay.action))
+    scaling = Scaling.of((replay.obs, replay.action))
     problem = DualProblem(replay, log_ratio, initial_obs, policy, config, scaling)
-    dual = problem.minimise(networks.q, generator)
-    terms = problem.terms(dual.net, generator)
-    raw, q = terms.raw(config), terms.now
-    weights, degenerate = normalise(raw)
-    start_gap = problem.start_gap(dual.net, q, generator)
-    metrics |= dual.metrics | {
-        "dual/loss": dual.loss,
-        "dual/q_mean": float(q.mean()),
+    net, dual_metrics = problem.minimise(q, generator)
+    terms = problem.terms(net, generator)
+    raw, q_values = terms.raw(config), terms.now
+    weighting = weighted(raw, log_ratio=log_ratio, clipped=True)
+    start_gap = problem.start_gap(net, q_values, generator)
+    metrics |= dual_metrics | {
+        "dual/q_mean": float(q_values.mean()),
         "dual/start_gap": start_gap,
         "weights/raw_mean": float(raw.mean()),
     }
+    # The discounted flow loses mass at ends, although KL's weights keep their sum.
+    kl_drops_ends = divergence(config).normalised and config.flow == "discounted"
     conditions = (
-        (DEGENERATE, degenerate),
         (RUNAWAY, start_gap > MAX_START_GAP),
-        (ENDS_UNDER_KL, _kl_drops_ends(config) and bool(replay.terminated.any())),
+        (ENDS_UNDER_KL, kl_drops_ends and bool(replay.terminated.any())),
     )
     notices = tuple(notice for notice, holds in conditions if holds)
-    return Occupancy(weights, terms, metrics, notices)
-
-
-def _kl_drops_ends(config: TomConfig) -> bool:
-    """Whether the flow loses mass at ends although KL's weights keep their sum."""
-    return divergence(config).normalised and config.flow == "discounted"
+    return replace(
+        weighting,
+        terms=terms if weighting.ready else None,
+        metrics=metrics,
+        notices=weighting.notices + notices,
+    )
 
 
 def occupancy_weights(
@@ -135,7 +89,7 @@ def occupancy_weights(
     initial_obs: Tensor | np.ndarray,
     config: TomConfig,
     generator: torch.Generator,
-) -> Occupancy:
+) -> Weighting:
     """Weights for `buffer` under which its rows look like the policy's own transitions.
 
     w = f*'(r + g E_{a'~pi}[Q(s', a')] - Q(s, a)) at the Q that minimises the dual (paper, eqs. 16
@@ -143,68 +97,56 @@ def occupancy_weights(
     policy; both may be numpy arrays or tensors. `policy(obs, n, generator)` returns (n, B, A)
     actions for obs (B, O); with a method `support(obs) -> (actions (K, B, A), probs (K, B))` the
     expectation over a' is exact. `initial_obs` (M0, O) are draws of the start distribution. Both
-    networks start anew; all randomness comes from `generator`.
+    networks start anew; all randomness comes from `generator`, which is on the buffers' device.
     """
     replay, policy_rows = buffer.torch(), policy_buffer.torch()
     starts = torch.as_tensor(initial_obs).to(replay.obs)
-    dims = replay.obs.shape[1], replay.action.shape[1]
-    networks = Networks(*dims, config, generator, replay.obs.device)
-    return estimate(networks, replay, policy_rows, policy, starts, generator)
+    networks = _networks(replay.obs.shape[1], replay.action.shape[1], config, generator)
+    return estimate(*networks, replay, policy_rows, policy, starts, generator)
 
 
-class TomLearner:
+def _networks(
+    obs_dim: int, action_dim: int, config: TomConfig, generator: torch.Generator
+) -> tuple[Discriminator, QFunction]:
+    given = obs_dim, action_dim, config, generator
+    return Discriminator(*given), QFunction(*given)
+
+
+class TomLearner(Counting):
     """Occupancy weights, with a Q that is trained further at every fit.
 
     Uniform, and not ready, until the policy has taken `config.warmup` steps in the environment.
     """
 
     def __init__(
-        self,
-        config: TomConfig,
-        obs_dim: int,
-        action_dim: int,
-        generator: torch.Generator,
+        self, config: TomConfig, obs_dim: int, action_dim: int, generator: torch.Generator
     ) -> None:
         self.config = config
-        self.networks = Networks(obs_dim, action_dim, config, generator)
-        self.degenerate = 0
+        self.discriminator, self.q = _networks(obs_dim, action_dim, config, generator)
 
     def weigh(self, context: FitContext) -> Weighting:
-        config, networks = self.config, self.networks
-        if context.on_policy_steps < config.warmup:
+        if context.on_policy_steps < self.config.warmup:
             return uniform(context.replay, ready=False)
-        if config.discriminator_reset:
-            networks.restart_discriminator(context.generator)
-        if config.starts_afresh:
-            networks.restart_q(context.generator)
-        occupancy = estimate(
-            networks,
+        if self.config.discriminator_reset:
+            self.discriminator.restart(self.discriminator.fresh(context.generator))
+        if self.config.q_reset or self.config.q_holdout:  # an old Q has seen the held-out rows
+            self.q.restart(self.q.fresh(context.generator))
+        weighting = estimate(
+            self.discriminator,
+            self.q,
             context.replay,
             context.policy_buffer,
             context.policy,
             context.initial_obs,
             context.generator,
         )
-        degenerate = DEGENERATE in occupancy.notices
-        self.degenerate += degenerate
-        return Weighting(
-            weights=occupancy.weights,
-            log_ratio=occupancy.log_ratio,
-            terms=None if degenerate else occupancy.terms,
-            ready=not degenerate,
-            clipped=True,
-            metrics={**occupancy.metrics, "weights/degenerate": float(self.degenerate)},
-            notices=occupancy.notices,
-        )
+        return self.counted(weighting)
 
     def state_dict(self) -> dict[str, Any]:
-        return {
-            "discriminator": self.networks.discriminator.state_dict(),
-            "q": self.networks.q.state_dict(),
-            "degenerate": self.degenerate,
-        }
+        nets = {"discriminator": self.discriminator.state_dict(), "q": self.q.state_dict()}
+        return {**nets, **super().state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.networks.discriminator.load_state_dict(state["discriminator"])
-        self.networks.q.load_state_dict(state["q"])
-        self.degenerate = state["degenerate"]
+        self.discriminator.load_state_dict(state["discriminator"])
+        self.q.load_state_dict(state["q"])
+        super().load_state_dict(state)

@@ -1,7 +1,6 @@
 """VaGram: each dimension of a transition is weighted by the gradient of the value function."""
 
 from collections.abc import Callable
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -9,7 +8,7 @@ from torch import Tensor
 from tom.config import VagramConfig
 from tom.data.sampling import normalise
 from tom.data.scaling import Scaling
-from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
+from tom.learners.base import DEGENERATE, Counting, FitContext, Weighting, uniform
 from tom.nn.mlp import rows_at_once
 
 CHUNK = 4096  # rows differentiated at once; they stay in the processor's cache
@@ -43,7 +42,7 @@ def clip_rows(per_dim: Tensor, quantile: float) -> Tensor:
     return per_dim * factor[:, None]
 
 
-class VagramLearner:
+class VagramLearner(Counting):
     """Value-gradient weights for each transition and state dimension.
 
     Uniform, and not ready, while there is no value function or nothing was collected on policy.
@@ -51,7 +50,6 @@ class VagramLearner:
 
     def __init__(self, config: VagramConfig) -> None:
         self.config = config
-        self.degenerate = 0
 
     def weigh(self, context: FitContext) -> Weighting:
         replay = context.replay
@@ -60,18 +58,6 @@ class VagramLearner:
         scale = Scaling.of((), (replay.next_obs, replay.obs)).std  # as the model's targets
         raw = value_gradient_weights(replay.next_obs, scale, context.value_gradient)
         per_dim, degenerate = normalise(clip_rows(raw, self.config.clip_quantile).flatten())
-        per_dim = per_dim.view_as(raw)
-        self.degenerate += degenerate
-        return Weighting(
-            weights=per_dim.mean(1),
-            per_dim=per_dim,
-            ready=not degenerate,
-            metrics={"weights/degenerate": float(self.degenerate)},
-            notices=(DEGENERATE,) if degenerate else (),
-        )
-
-    def state_dict(self) -> dict[str, Any]:
-        return {"degenerate": self.degenerate}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.degenerate = state["degenerate"]
+        per_dim, notices = per_dim.view_as(raw), (DEGENERATE,) if degenerate else ()
+        weights = per_dim.mean(1)
+        return self.counted(Weighting(weights, per_dim, ready=not degenerate, notices=notices))

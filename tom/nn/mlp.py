@@ -8,7 +8,6 @@ products and much bookkeeping (docs/speed.md). All else is differentiated by aut
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from math import sqrt
@@ -54,10 +53,6 @@ class StackedMLP(nn.Module):
             uniform = torch.rand(shape, generator=generator, device=generator.device)
             drawn = (uniform * 2 - 1) * bound
             layers.append((drawn[:, :-1].contiguous(), drawn[:, -1:].contiguous()))
-        self._hold(layers, activation)
-
-    def _hold(self, layers: Sequence[tuple[Tensor, Tensor]], activation: Activation) -> None:
-        self.members = len(layers[0][0])
         self.activation = activation
         self.weights = nn.ParameterList(w for w, _ in layers)  # (M, in, out) each
         self.biases = nn.ParameterList(b for _, b in layers)  # (M, 1, out) each
@@ -77,38 +72,29 @@ class StackedMLP(nn.Module):
 
     def member(self, index: int, x: Tensor) -> Tensor:
         """Network `index` alone: (B, in) -> (B, out)."""
-        only = slice(index, index + 1)
-        return self._run(x.unsqueeze(0), [(w[only], b[only]) for w, b in self.layers]).squeeze(0)
+        return self._member(index, x, self.layers)
 
     @torch.no_grad()
     def hidden(self, index: int, x: Tensor) -> Tensor:
         """The last hidden layer of network `index`: (B, in) -> (B, H)."""
+        return self.activation(self._member(index, x, self.layers[:-1]))
+
+    def _member(self, index: int, x: Tensor, layers: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
         only = slice(index, index + 1)
-        layers = [(w[only], b[only]) for w, b in self.layers[:-1]]
-        return self.activation(self._run(x.unsqueeze(0), layers)).squeeze(0)
+        return self._run(x.unsqueeze(0), [(w[only], b[only]) for w, b in layers]).squeeze(0)
 
     def _run(self, x: Tensor, layers: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
         in_place = None if torch.is_grad_enabled() else _IN_PLACE.get(self.activation)
         activation, last = in_place or self.activation, len(layers) - 1
-        affine = _bias_last if in_place and _is_bulk(x) else torch.baddbmm
+        # oneDNN's `baddbmm` first copies the bias to every row. With many rows it is faster to add
+        # it after the product, which gives the same bits; with the default backend they differ.
+        many = in_place and x.shape[1] >= BULK and x.device.type == "cpu"
+        bias_last = many and matmul.current() == "onednn"
         for layer, (weight, bias) in enumerate(layers):
-            x = affine(bias, x, weight)
+            x = torch.bmm(x, weight).add_(bias) if bias_last else torch.baddbmm(bias, x, weight)
             if layer < last:
                 x = activation(x)
         return x
-
-
-def _bias_last(bias: Tensor, x: Tensor, weight: Tensor) -> Tensor:
-    return torch.bmm(x, weight).add_(bias)
-
-
-def _is_bulk(x: Tensor) -> bool:
-    """Whether adding the bias after the product is faster for x (M, B, in): many rows, and oneDNN.
-
-    oneDNN's `baddbmm` first copies the bias to every row; both ways give the same bits. The default
-    backend makes no such copy, and there the bits differ.
-    """
-    return x.shape[1] >= BULK and x.device.type == "cpu" and matmul.current() == "onednn"
 
 
 def rows_at_once(device: torch.device, in_cache: int) -> int:
@@ -116,49 +102,41 @@ def rows_at_once(device: torch.device, in_cache: int) -> int:
     return in_cache if device.type == "cpu" else max(in_cache, GPU_ROWS)
 
 
-@dataclass(frozen=True)
-class Trace:
-    """A forward pass: the values that the backward pass needs, and the output (M, B, out)."""
-
-    inputs: list[Tensor]  # of each layer, (M, B, in)
-    output: Tensor
-
-
-def forward_trace(net: StackedMLP, x: Tensor) -> Trace:
-    """The forward pass of a ReLU network over x (M, B, in), with its intermediate values."""
-    inputs = [x]
+def forward_trace(net: StackedMLP, x: Tensor) -> list[Tensor]:
+    """The input (M, B, in) of every layer of a ReLU network over x, last its output (M, B, out)."""
+    trace = [x]
     *hidden, (last_weight, last_bias) = net.layers
     for weight, bias in hidden:
-        inputs.append(torch.baddbmm(bias, inputs[-1], weight).relu_())
-    return Trace(inputs, torch.baddbmm(last_bias, inputs[-1], last_weight))
+        trace.append(torch.baddbmm(bias, trace[-1], weight).relu_())
+    return [*trace, torch.baddbmm(last_bias, trace[-1], last_weight)]
 
 
-def gradients(net: StackedMLP, trace: Trace, grad: Tensor) -> list[Tensor]:
+def gradients(net: StackedMLP, trace: list[Tensor], grad: Tensor) -> list[Tensor]:
     """Every parameter's gradient, in the order of `net.tensors()`.
 
     `grad` (M, B, out) is the loss's gradient with respect to the output.
     """
     weights, biases = [], []
     for layer in reversed(range(len(net.layers))):
-        weights.append(torch.bmm(trace.inputs[layer].mT, grad))
+        weights.append(torch.bmm(trace[layer].mT, grad))
         biases.append(grad.sum(1, keepdim=True))
         if layer:
             grad = _through(net, trace, layer, grad)
     return [*reversed(weights), *reversed(biases)]
 
 
-def input_gradient(net: StackedMLP, trace: Trace, grad: Tensor) -> Tensor:
+def input_gradient(net: StackedMLP, trace: list[Tensor], grad: Tensor) -> Tensor:
     """The loss's gradient with respect to the input, (M, B, in), from that of the output."""
     for layer in reversed(range(1, len(net.layers))):
         grad = _through(net, trace, layer, grad)
     return _times_transposed(grad, net.layers[0][0])
 
 
-def _through(net: StackedMLP, trace: Trace, layer: int, grad: Tensor) -> Tensor:
+def _through(net: StackedMLP, trace: list[Tensor], layer: int, grad: Tensor) -> Tensor:
     """From the gradient of a layer's output to the previous layer's, before its ReLU."""
     grad = _times_transposed(grad, net.layers[layer][0])
     relu_backward = torch.ops.aten.threshold_backward.grad_input
-    return relu_backward(grad, trace.inputs[layer], 0, grad_input=grad)
+    return relu_backward(grad, trace[layer], 0, grad_input=grad)
 
 
 def _times_transposed(grad: Tensor, weight: Tensor) -> Tensor:

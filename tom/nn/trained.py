@@ -37,8 +37,13 @@ class Adam:
         self.counters = [torch.zeros((), device=p.device) for p in self.parameters[:1]]
         self.taken = self.counters * len(self.parameters)  # steps so far: one counter for all
         one = isinstance(weight_decay, int | float)
-        self.decays = [weight_decay] * len(self.parameters) if one else list(weight_decay)
-        self._group()
+        decays = [weight_decay] * len(self.parameters) if one else list(weight_decay)
+        lists = (self.parameters, self.means, self.squares, self.taken)
+        # The parameters by weight decay, with the four lists of each fused call.
+        self._groups: list[tuple[float, list[int], list[list[Tensor]]]] = []
+        for decay in dict.fromkeys(decays):
+            members = [i for i, own in enumerate(decays) if own == decay]
+            self._groups.append((decay, members, [[x[i] for i in members] for x in lists]))
 
     @torch.no_grad()
     def step(self, gradients: Sequence[Tensor]) -> None:
@@ -53,9 +58,10 @@ class Adam:
                 amsgrad=False, maximize=False,
             )  # fmt: skip
 
-    def tensors(self) -> list[Tensor]:
-        """All tensors that a step changes, except the parameters."""
-        return [*self.counters, *self.means, *self.squares]
+    def reset(self) -> None:
+        """Forget all steps."""
+        for tensor in (*self.counters, *self.means, *self.squares):
+            tensor.zero_()
 
     def state_dict(self) -> dict[str, Any]:
         """As `torch.optim.Adam` has it, without the settings."""
@@ -69,14 +75,6 @@ class Adam:
             self.taken[i].copy_(kept["step"])
             self.means[i].copy_(kept["exp_avg"])
             self.squares[i].copy_(kept["exp_avg_sq"])
-
-    def _group(self) -> None:
-        """Group the parameters by weight decay, with the four lists of each fused call."""
-        lists = (self.parameters, self.means, self.squares, self.taken)
-        self._groups: list[tuple[float, list[int], list[list[Tensor]]]] = []
-        for decay in dict.fromkeys(self.decays):
-            members = [i for i, own in enumerate(self.decays) if own == decay]
-            self._groups.append((decay, members, [[x[i] for i in members] for x in lists]))
 
 
 class Average:
@@ -121,8 +119,7 @@ class Trained:
         with torch.no_grad():
             for own, fresh in zip(self.net.tensors(), net.tensors(), strict=True):
                 own.copy_(fresh)
-        for tensor in self.optimiser.tensors():
-            tensor.zero_()
+        self.optimiser.reset()
 
     def state_dict(self) -> dict[str, Any]:
         return {"net": self.net.own_state(), "optimiser": self.optimiser.state_dict()}

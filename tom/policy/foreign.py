@@ -125,9 +125,9 @@ class ForeignPolicy:
                 output = self._ask(obs)
             parts = output if isinstance(output, tuple) else (output,)
             if isinstance(output, list) and all(isinstance(part, Tensor) for part in output):
-                parts = tuple(output)  # TorchScript and ONNX give lists
-            if len(parts) == 2 and _is_no_state(parts[1]):
-                parts = parts[:1]
+                parts = tuple(output)  # TorchScript gives lists
+            if len(parts) == 2 and (parts[1] is None or np.size(parts[1]) == 0):
+                parts = parts[:1]  # the second output of `predict`: the state of a policy without
             answer = tuple(_numbers(part) for part in parts)
         except UserError:
             raise
@@ -150,11 +150,6 @@ class ForeignPolicy:
         return answer
 
 
-def _is_no_state(part: Any) -> bool:
-    """Whether it stands for the state of a policy that keeps none: `predict`'s second output."""
-    return part is None or (isinstance(part, tuple | list | dict) and not part)
-
-
 def _numbers(part: Any) -> Tensor:
     """A tensor, or anything that numpy takes for an array, in single precision."""
     array = part.detach() if isinstance(part, Tensor) else torch.from_numpy(np.array(part))
@@ -175,7 +170,11 @@ def foreign_policy(
     `own_obs` converts observations (B, O) to the task's own units, which the policy expects.
     """
     if _is_function(name):
-        ask = _function(name)
+        function = import_function(name, "--policy")  # its module is imported and run
+
+        def ask(obs: Tensor) -> Any:
+            return function(obs.to(torch.float32).numpy())
+
     elif Path(name).is_file():
         ask = (_onnx if Path(name).suffix == ONNX else _torchscript)(name)
     else:
@@ -189,12 +188,6 @@ def foreign_policy(
 
 def _is_function(name: str) -> bool:
     return _FUNCTION.fullmatch(name) is not None and not Path(name).exists()
-
-
-def _function(name: str) -> Callable[[Tensor], Any]:
-    """A Python function of observations (B, O), a numpy array. Its module is imported and run."""
-    policy = import_function(name, "--policy")
-    return lambda obs: policy(obs.to(torch.float32).numpy())
 
 
 def _torchscript(name: str) -> Callable[[Tensor], Any]:

@@ -59,14 +59,21 @@ def roll_out(
     for chunk in starts.split(rows_at_once(starts.device, config.chunk)):
         obs = chunk
         for step in range(length):
-            rows = _played(model, policy, terminated, obs, generator)
+            action = policy(obs, 1, generator)[0]
+            reward, next_obs = model.sample(obs, action, generator)
+            if not bool((next_obs.sum() + reward.sum()).isfinite()):  # a sum over NaN or inf
+                finite = next_obs.isfinite().all(-1) & reward.isfinite()
+                diverged += len(obs) - int(finite.sum())
+                obs, action, reward, next_obs = (x[finite] for x in (obs, action, reward, next_obs))
+            end = terminated(next_obs).to(torch.float32)
+            rows = TensorTransitions(obs, action, reward, next_obs, end, torch.zeros_like(end))
             model_buffer.extend(rows)
-            beyond = (rows.next_obs.abs().amax(-1) > far).to(torch.float32)
-            seen.append(torch.stack([rows.reward.sum(), rows.terminated.sum(), beyond.sum()]))
-            steps, diverged = steps + len(rows), diverged + len(obs) - len(rows)
+            beyond = (next_obs.abs().amax(-1) > far).to(torch.float32)
+            seen.append(torch.stack([reward.sum(), end.sum(), beyond.sum()]))
+            steps += len(rows)
             if step == length - 1:
                 break  # who goes on is not asked, which spares a GPU one host read
-            obs = rows.next_obs[rows.terminated == 0]
+            obs = next_obs[end == 0]
             if not len(obs):
                 break
     reward_sum, ended, exploded = map(sum, zip(*torch.stack(seen).tolist(), strict=True))
@@ -76,23 +83,6 @@ def roll_out(
         "rollout/diverged": diverged / max(steps + diverged, 1),
         "rollout/exploded": exploded / max(steps, 1),
     }
-
-
-def _played(
-    model: RolloutModel,
-    policy: Policy,
-    terminated: Termination,
-    obs: Tensor,
-    generator: torch.Generator,
-) -> TensorTransitions:
-    """One modelled step from each of obs (B, O), without those that are not finite."""
-    action = policy(obs, 1, generator)[0]
-    reward, next_obs = model.sample(obs, action, generator)
-    if not bool((next_obs.sum() + reward.sum()).isfinite()):  # a sum over NaN or inf
-        finite = next_obs.isfinite().all(-1) & reward.isfinite()
-        obs, action, reward, next_obs = (x[finite] for x in (obs, action, reward, next_obs))
-    end = terminated(next_obs).to(torch.float32)
-    return TensorTransitions(obs, action, reward, next_obs, end, torch.zeros_like(end))
 
 
 def mixed_batches(

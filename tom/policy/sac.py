@@ -2,7 +2,7 @@
 
 from copy import deepcopy
 from math import log
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from numpy.typing import NDArray
@@ -15,6 +15,8 @@ from tom.nn.mlp import StackedMLP, forward_trace, gradients, input_gradient
 from tom.nn.trained import Adam
 
 LOG_STD_MIN, LOG_STD_MAX = -20.0, 2.0
+NETS = "actor", "critic", "target_critic"
+OPTIMISERS = "actor_optimiser", "critic_optimiser", "temperature_optimiser"
 
 
 def squashed_gaussian(mean: Tensor, log_std: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
@@ -39,9 +41,8 @@ class Sac:
         self.config = config
         self.dims = obs_dim, action_dim
         self.generator = generator
-        self.target_entropy = (
-            float(-action_dim) if config.target_entropy is None else config.target_entropy
-        )
+        chosen = config.target_entropy
+        self.target_entropy = float(-action_dim) if chosen is None else chosen
         self.actor = StackedMLP(1, [obs_dim, *hidden, 2 * action_dim], relu, generator)
         self.critic = StackedMLP(2, [obs_dim + action_dim, *hidden, 1], relu, generator)
         self.target_critic = deepcopy(self.critic)
@@ -54,7 +55,6 @@ class Sac:
         self.critic_optimiser = Adam(self.critic.tensors(), config.lr)
         self.temperature_optimiser = Adam([self.log_temperature], config.lr)
         self.policy = ActorCritic(self.actor, self.critic)
-        self._critics = self.critic.tensors(), self.target_critic.tensors()
 
     def update(self, batch: TensorTransitions) -> dict[str, Tensor]:
         """One gradient step of critics, actor and temperature on a (B, ...) batch; its metrics."""
@@ -65,13 +65,21 @@ class Sac:
         """G gradient steps on packed transitions (G, B, R); the last one's metrics, (1,) each."""
         shape = (len(batches), 2, batches.shape[1], self.dims[1])
         noise = torch.randn(*shape, generator=self.generator, device=self.generator.device)
-        steps = [self.step(*drawn) for drawn in zip(batches, noise, strict=True)]
-        return {**steps[-1].metrics(), "temperature/value": self.log_temperature.exp()}
+        steps = [self._step(*drawn) for drawn in zip(batches, noise, strict=True)]
+        error, q, loss, log_prob = steps[-1]
+        return {
+            "critic/loss": error.square().mean(-1).sum().view(1),
+            "critic/q": q.mean().view(1),
+            "actor/loss": loss.mean().view(1),
+            "actor/entropy": -log_prob.mean().view(1),
+            "temperature/value": self.log_temperature.exp(),
+        }
 
-    def step(self, rows: Tensor, noise: Tensor) -> "SacStep":
+    def _step(self, rows: Tensor, noise: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """A gradient step on packed transitions (B, R) with normal draws (2, B, A).
 
-        Gradients are written out by hand (see `backprop`).
+        The critics' errors and values (2, B), the actor's loss and log_prob (B,). Gradients are
+        written out by hand (see `tom.nn.mlp`).
         """
         batch = TensorTransitions.unpack(rows, *self.dims)
         critic_gradients, error, q = self.critic_gradients(batch, noise[0])
@@ -80,19 +88,20 @@ class Sac:
         self.actor_optimiser.step(actor_gradients)
         # d/d log_temperature of -log_temperature * (log_prob + target_entropy)
         self.temperature_optimiser.step([-(log_prob.mean(0, keepdim=True) + self.target_entropy)])
-        critics, targets = self._critics
-        torch._foreach_lerp_(targets, critics, self.config.tau)  # pyright: ignore[reportPrivateImportUsage]
-        return SacStep(error, q, loss, log_prob)
+        torch._foreach_lerp_(  # pyright: ignore[reportPrivateImportUsage]
+            self.target_critic.tensors(), self.critic.tensors(), self.config.tau
+        )
+        return error, q, loss, log_prob
 
     def critic_target(self, batch: TensorTransitions, noise: Tensor) -> Tensor:
         """r + g (1 - terminated) (min_k Q'_k(s', a') - temperature log pi(a'|s')), (B,).
 
         Bootstraps through truncation, never through termination.
         """
-        mean, log_std = _gaussian(forward_trace(self.actor, batch.next_obs[None]).output[0])
+        mean, log_std = _gaussian(forward_trace(self.actor, batch.next_obs[None])[-1][0])
         action, log_prob = squashed_gaussian(mean, log_std, noise)
         inputs = _twin_inputs(batch.next_obs, action)
-        next_q = forward_trace(self.target_critic, inputs).output.squeeze(-1)
+        next_q = forward_trace(self.target_critic, inputs)[-1].squeeze(-1)
         temperature = self.log_temperature.exp()
         soft_value = torch.minimum(*next_q) - temperature * log_prob.squeeze(-1)
         return batch.reward + self.config.discount * (1.0 - batch.terminated) * soft_value
@@ -103,7 +112,7 @@ class Sac:
         """Gradients of sum_k E[(Q_k(s, a) - target)^2]; the errors and Q_k(s, a), (2, B)."""
         target = self.critic_target(batch, noise)
         trace = forward_trace(self.critic, _twin_inputs(batch.obs, batch.action))
-        q = trace.output.squeeze(-1)
+        q = trace[-1].squeeze(-1)
         error = q - target
         grad = error * (2.0 / error.shape[-1])
         return gradients(self.critic, trace, grad.unsqueeze(-1)), error, q
@@ -111,11 +120,11 @@ class Sac:
     def actor_gradients(self, obs: Tensor, noise: Tensor) -> tuple[list[Tensor], Tensor, Tensor]:
         """Gradients of E[temperature log pi(a|s) - min_k Q_k(s, a)]; its terms, log pi, (B,)."""
         trace = forward_trace(self.actor, obs[None])
-        output = trace.output[0]
+        output = trace[-1][0]
         mean, log_std = _gaussian(output)
         action, log_prob = squashed_gaussian(mean, log_std, noise)
         q_trace = forward_trace(self.critic, _twin_inputs(obs, action))
-        first, second = q_trace.output.squeeze(-1)
+        first, second = q_trace[-1].squeeze(-1)
         q, first_is_lower = torch.minimum(first, second), first <= second  # (B,)
 
         # -1/B flows into the lower of the two critics, and on to the action.
@@ -134,40 +143,14 @@ class Sac:
         return gradients(self.actor, trace, grad), temperature * log_prob - q, log_prob
 
     def state_dict(self) -> dict[str, Any]:
-        return {
-            "actor": self.actor.own_state(),
-            "critic": self.critic.own_state(),
-            "target_critic": self.target_critic.own_state(),
-            "log_temperature": self.log_temperature.clone(),
-            "actor_optimiser": self.actor_optimiser.state_dict(),
-            "critic_optimiser": self.critic_optimiser.state_dict(),
-            "temperature_optimiser": self.temperature_optimiser.state_dict(),
-        }
+        nets = {name: getattr(self, name).own_state() for name in NETS}
+        optimisers = {name: getattr(self, name).state_dict() for name in OPTIMISERS}
+        return {**nets, "log_temperature": self.log_temperature.clone(), **optimisers}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        for name in ("actor", "critic", "target_critic"):
-            getattr(self, name).load_state_dict(state[name])
-        for name in ("actor_optimiser", "critic_optimiser", "temperature_optimiser"):
+        for name in (*NETS, *OPTIMISERS):
             getattr(self, name).load_state_dict(state[name])
         self.log_temperature.copy_(state["log_temperature"])
-
-
-class SacStep(NamedTuple):
-    """The values of a gradient step, reduced to metrics only on request."""
-
-    critic_error: Tensor  # (2, B)
-    critic_q: Tensor  # (2, B)
-    actor_loss: Tensor  # (B,)
-    log_prob: Tensor  # (B,)
-
-    def metrics(self) -> dict[str, Tensor]:
-        values = {
-            "critic/loss": self.critic_error.square().mean(-1).sum(),
-            "critic/q": self.critic_q.mean(),
-            "actor/loss": self.actor_loss.mean(),
-            "actor/entropy": -self.log_prob.mean(),
-        }
-        return {name: value.view(1) for name, value in values.items()}
 
 
 class Actor:
@@ -232,12 +215,9 @@ class ActorCritic(Actor):
     def value_gradient(self, obs: Tensor) -> Tensor:
         """dV_k/ds of both critics' V_k(s) = Q_k(s, mean action(s)) at obs (B, O): (2, B, O)."""
         state = obs.detach().clone().requires_grad_(True)
-        q = self._values(state)  # (2, B)
+        q = self._heads(state, torch.tanh(self.gaussian(state)[0]))  # (2, B)
         heads = [torch.autograd.grad(q[k].sum(), state, retain_graph=k == 0)[0] for k in (0, 1)]
         return torch.stack(heads)
-
-    def _values(self, obs: Tensor) -> Tensor:
-        return self._heads(obs, torch.tanh(self.gaussian(obs)[0]))
 
     def _heads(self, obs: Tensor, action: Tensor) -> Tensor:
         x = torch.cat([obs, action], -1)

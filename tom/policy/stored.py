@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from itertools import pairwise
 from math import log
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -28,7 +27,6 @@ from tom.policy.sac import Actor, ActorCritic, Sac
 
 NAME = "policy.npz"
 CRITIC = "critic_"
-TWINS = 2
 
 Arrays = Mapping[str, NDArray]
 
@@ -40,8 +38,8 @@ def policy_arrays(env: str, sac: Sac) -> dict[str, NDArray]:
         arrays[f"weight_{k}"] = _array(weight[0])
         arrays[f"bias_{k}"] = _array(bias[0, 0])
     for k, (weight, bias) in enumerate(sac.critic.layers):
-        arrays[f"{CRITIC}weight_{k}"] = _array(weight[:TWINS])
-        arrays[f"{CRITIC}bias_{k}"] = _array(bias[:TWINS, 0])
+        arrays[f"{CRITIC}weight_{k}"] = _array(weight)
+        arrays[f"{CRITIC}bias_{k}"] = _array(bias[:, 0])
     return arrays
 
 
@@ -54,24 +52,17 @@ class StoredPolicy(Actor):
     def __init__(self, arrays: Arrays) -> None:
         """Raises ValueError or KeyError if the arrays are not those of a policy."""
         self.env = str(arrays["env"])
-        layers = {name: array[None] for name, array in _layers(arrays).items()}
-        actor, sizes = _network(layers, members=1)
+        actor, sizes = _actor(arrays)
         if sizes[-1] % 2:
             raise ValueError("its last layer is not a mean and a deviation of each action")
         self.obs_dim, self.action_dim = sizes[0], sizes[-1] // 2
         super().__init__(actor)
-        self.value_gradient = self._value_gradient(arrays, actor)
-
-    def _value_gradient(
-        self, arrays: Arrays, actor: StackedMLP
-    ) -> Callable[[Tensor], Tensor] | None:
-        layers = _layers(arrays, CRITIC)
-        if not layers:
-            return None
-        critic, sizes = _network(layers, members=TWINS)
-        if (sizes[0], sizes[-1]) != (self.obs_dim + self.action_dim, 1):
-            raise ValueError("its critics do not fit its actor")
-        return ActorCritic(actor, critic).value_gradient
+        self.value_gradient: Callable[[Tensor], Tensor] | None = None
+        if layers := _layers(arrays, CRITIC):
+            critic, sizes = _network(layers)
+            if (sizes[0], sizes[-1]) != (self.obs_dim + self.action_dim, 1):
+                raise ValueError("its critics do not fit its actor")
+            self.value_gradient = ActorCritic(actor, critic).value_gradient
 
 
 def resumed_sac(
@@ -82,8 +73,8 @@ def resumed_sac(
     Its target critics equal its critics and its optimisers are new: the file holds neither. Raises
     ValueError if there are no critics, RuntimeError if `config` has other layers.
     """
-    actor, sizes = _network({name: a[None] for name, a in _layers(arrays).items()}, members=1)
-    critic, _ = _network(_layers(arrays, CRITIC), members=TWINS)
+    actor, sizes = _actor(arrays)
+    critic, _ = _network(_layers(arrays, CRITIC))
     sac = Sac(sizes[0], sizes[-1] // 2, config, generator)
     for net, stored in ((sac.actor, actor), (sac.critic, critic), (sac.target_critic, critic)):
         net.load_state_dict(stored.state_dict())
@@ -108,20 +99,12 @@ class UniformPolicy:
         return torch.zeros(len(obs), self.action_dim)
 
 
-class HasMean(Protocol):
-    """A policy that knows its mean action."""
-
-    def mean(self, obs: Tensor) -> Tensor:
-        """Mean actions for obs (B, O): (B, A)."""
-        ...
-
-
-def distances(policy: HasMean, rows: TensorTransitions) -> NDArray[np.float32]:
-    """The distance (N,) from each row's action to the policy's mean action there.
+def distances(mean: Callable[[Tensor], Tensor], rows: TensorTransitions) -> NDArray[np.float32]:
+    """The distance (N,) from each row's action to `mean`'s, a policy's mean action there.
 
     Root mean square over the action's dimensions; actions are in [-1, 1].
     """
-    return (policy.mean(rows.obs) - rows.action).square().mean(-1).sqrt().numpy()
+    return (mean(rows.obs) - rows.action).square().mean(-1).sqrt().numpy()
 
 
 def read_policy(path: Path) -> StoredPolicy:
@@ -151,14 +134,16 @@ def _layers(arrays: Arrays, prefix: str = "") -> dict[str, NDArray]:
     return {n.removeprefix(prefix): array for n, array in arrays.items() if n.startswith(parts)}
 
 
-def _network(layers: Arrays, members: int) -> tuple[StackedMLP, list[int]]:
+def _actor(arrays: Arrays) -> tuple[StackedMLP, list[int]]:
+    return _network({name: array[None] for name, array in _layers(arrays).items()})
+
+
+def _network(layers: Arrays) -> tuple[StackedMLP, list[int]]:
     """The networks of `weight_k` (M, in, out) and `bias_k` (M, out), and their sizes."""
     count = sum(name.startswith("weight_") for name in layers)
     weights = [_parameter(layers[f"weight_{k}"], 3) for k in range(count)]
     biases = [_parameter(layers[f"bias_{k}"], 2) for k in range(count)]
-    if not weights:
-        raise ValueError("it holds no layers")
-    sizes = [weights[0].shape[1], *(bias.shape[1] for bias in biases)]
+    members, sizes = len(weights[0]), [weights[0].shape[1], *(bias.shape[1] for bias in biases)]
     if [tuple(w.shape) for w in weights] != [(members, *pair) for pair in pairwise(sizes)]:
         raise ValueError("its layers do not fit together")
     net = StackedMLP(members, sizes, relu, torch.Generator()).requires_grad_(False)

@@ -8,8 +8,8 @@ from tom.config import TomConfig
 from tom.data.sampling import normalise
 from tom.data.scaling import Scaling
 from tom.learners.base import FitContext, Weighting
-from tom.learners.discriminator import Discriminator, RatioProblem, discriminator_net
-from tom.learners.dual import DualProblem, QFunction, q_net
+from tom.learners.discriminator import Discriminator, RatioProblem
+from tom.learners.dual import DualProblem, QFunction
 from tom.road.offline_data import OfflineData
 
 Baseline = Callable[[OfflineData, FitContext, TomConfig], Weighting]
@@ -19,14 +19,12 @@ def labels_swapped(data: OfflineData, context: FitContext, config: TomConfig) ->
     """A control: TOM with the discriminator's labels swapped, which negates r."""
     replay, generator = context.replay, context.generator
     dims = replay.obs.shape[1], replay.action.shape[1]
-    ratio = RatioProblem.of(context.policy_buffer, replay, config.discriminator_input)
-    fresh = Discriminator(discriminator_net(*dims, config, generator), config)
-    trained, metrics = ratio.solve(fresh, generator)
+    ratio = RatioProblem.of(context.policy_buffer, replay, config)
+    trained, metrics = ratio.solve(Discriminator(*dims, config, generator), generator)
     log_ratio = ratio.log_ratio(trained)
     scaling = Scaling.of((replay.obs, replay.action))
     problem = DualProblem(replay, -log_ratio, context.initial_obs, context.policy, config, scaling)
-    q = QFunction(q_net(*dims, config, generator), config)
-    net = problem.minimise(q, generator).net
+    net, _ = problem.minimise(QFunction(*dims, config, generator), generator)
     weights, _ = normalise(problem.terms(net, generator).raw(config))
     return Weighting(weights, log_ratio=-log_ratio, metrics=metrics)
 

@@ -15,7 +15,6 @@ from tom.learners.discriminator import (
     accuracy,
     calibration_error,
     cross_entropy,
-    discriminator_net,
     membership_reward,
 )
 from tom.studies.mdp import random_mdp, random_policy, sample_transitions, transition_occupancy
@@ -39,9 +38,9 @@ def judged(
 ) -> tuple[torch.Tensor, dict[str, float]]:
     """The logit of the rows `seen`, which need not be the replay's, and metrics."""
     g = generator(1)
-    net = discriminator_net(replay.obs.shape[1], replay.action.shape[1], config, g)
-    problem = RatioProblem.of(policy_buffer, replay, config.discriminator_input)
-    fitted, metrics = problem.solve(Discriminator(net, config), g)
+    problem = RatioProblem.of(policy_buffer, replay, config)
+    dims = replay.obs.shape[1], replay.action.shape[1]
+    fitted, metrics = problem.solve(Discriminator(*dims, config, g), g)
     return replace(problem, replay=seen).log_ratio(fitted), metrics
 
 

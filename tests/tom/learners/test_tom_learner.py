@@ -9,7 +9,8 @@ from made import ACTION, OBS, QUICK, context, rows, uniform_policy
 
 from tom.config import TomConfig
 from tom.data.transitions import Transitions
-from tom.learners.tom import Occupancy, TomLearner, occupancy_weights
+from tom.learners.base import Weighting
+from tom.learners.tom import TomLearner, occupancy_weights
 from tom.studies.mdp import (
     OccupancyProblem,
     OneHotPolicy,
@@ -26,7 +27,7 @@ def learner(config: TomConfig = QUICK) -> TomLearner:
     return TomLearner(config, OBS, ACTION, generator(5))
 
 
-def weigh(replay: Transitions, policy_rows: Transitions, config: TomConfig = QUICK) -> Occupancy:
+def weigh(replay: Transitions, policy_rows: Transitions, config: TomConfig = QUICK) -> Weighting:
     return occupancy_weights(
         replay, policy_rows, uniform_policy, torch.zeros(4, OBS), config, generator(2)
     )
@@ -82,7 +83,7 @@ def test_q_goes_on_from_fit_to_fit_unless_reset():
         tom = learner(QUICK.but(q_reset=reset))
         for _ in range(2):
             tom.weigh(context(rows(200)))
-        steps = tom.networks.q.optimiser.taken[0]
+        steps = tom.q.optimiser.taken[0]
         assert steps == QUICK.q_steps * (1 if reset else 2)
 
 
@@ -91,7 +92,7 @@ def test_unusable_weights_fall_back_to_uniform_are_counted_and_told(bias):
     tom = learner()
     for fits in (1, 2):
         with torch.no_grad():  # y = r - (1 - g) Q far below -1 everywhere, or not a number
-            tom.networks.q.net.biases[-1].fill_(bias)
+            tom.q.net.biases[-1].fill_(bias)
         found = tom.weigh(context(rows(200)))
         assert not found.ready
         assert (found.weights == 1).all()
