@@ -12,12 +12,9 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 Discount = Annotated[float, Field(ge=0, lt=1)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
-Count = Annotated[int, Field(ge=1, lt=2**63)]
 Whole = Annotated[int, Field(ge=0, lt=2**63)]
-Steps = Annotated[int, Field(ge=1, lt=2**60)]
-"""of a run: a recording makes twice as many, which its status must hold as a number"""
-Size = Annotated[int, Field(ge=1, lt=2**40)]
-"""a count of what is in memory at once; torch cannot even ask for what is far beyond any memory"""
+Count = Annotated[int, Field(ge=1, lt=2**40)]
+"""bounded, since torch cannot even ask for what is far beyond any memory"""
 
 Settings = Mapping[str, str]
 """a configuration by dotted path, each value as text"""
@@ -40,19 +37,19 @@ class ModelConfig(Config):
 
     kind: Literal["mdn", "ensemble", "mean-ensemble", "linear"] = "mdn"
     """mixture density network, Gaussian ensemble, mean-only ensemble (VaGram), or least squares"""
-    hidden: Size = 200
+    hidden: Count = 200
     """units in a hidden layer"""
-    layers: Size = 4
+    layers: Count = 4
     """hidden layers"""
-    components: Size = 10
+    components: Count = 10
     """mixture components for each output dimension (mdn)"""
-    members: Size = 7
+    members: Count = 7
     """networks in the ensemble"""
     elites: Count = 5
     """ensemble members that predict: the best by holdout error"""
     lr: Positive = 1e-3
     """Adam's learning rate"""
-    batch_size: Size = 256
+    batch_size: Count = 256
     rounds: Count = 30
     """rounds in a fit at most"""
     batches_per_round: Count = 100
@@ -79,10 +76,10 @@ class ModelConfig(Config):
 class SacConfig(Config):
     """Soft actor-critic, the policy optimiser."""
 
-    hidden: Size = 256
-    layers: Size = 2
+    hidden: Count = 256
+    layers: Count = 2
     lr: Positive = 3e-4
-    batch_size: Size = 256
+    batch_size: Count = 256
     tau: Annotated[float, Field(gt=0, le=1)] = 0.005
     """step of the target critics towards the critics"""
     discount: Discount = 0.99
@@ -94,17 +91,17 @@ class SacConfig(Config):
 class RolloutConfig(Config):
     """Rollouts of the policy in the learnt model."""
 
-    starts: Size = 100_000
+    starts: Count = 100_000
     """start states for each fit"""
-    length: Size = 1
+    length: Count = 1
     """steps of a rollout at the start of training"""
-    final_length: Size = 1
+    final_length: Count = 1
     """steps of a rollout at the end of the schedule, where it is longer than at the start"""
     schedule_start: Whole = 20
     """epoch (1 000 env steps after exploration) where the length begins to grow"""
     schedule_end: Whole = 150
     """epoch where it has grown"""
-    retain: Size = 1
+    retain: Count = 1
     """epochs (1 000 env steps) whose rollouts stay in the model buffer; one fit's at the least"""
     weighted_starts: bool = True
     """draw start states by weight (uniformly until the learner has weights)"""
@@ -146,9 +143,9 @@ class TomConfig(Config):
     """what r is a ratio of: (s, a, s') as in the paper, or (s, a), which is the same r with less
     noise where one environment made both buffers"""
     discriminator_steps: Whole = 100
-    discriminator_batch: Size = 256
+    discriminator_batch: Count = 256
     discriminator_lr: Positive = 3e-4
-    discriminator_hidden: Size = 256
+    discriminator_hidden: Count = 256
     discriminator_reset: bool = True
     """start the discriminator afresh at every fit"""
     label_smoothing: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
@@ -156,9 +153,9 @@ class TomConfig(Config):
     gradient_penalty: NonNegative = 0.0
     """weight of the discriminator's gradient penalty (the released code: 10)"""
     q_steps: Count = 1000
-    q_batch: Size = 256
+    q_batch: Count = 256
     q_lr: Positive = 3e-4
-    q_hidden: Size = 256
+    q_hidden: Count = 256
     q_weight_decay: NonNegative = 1e-4
     q_reset: bool = False
     """start Q afresh at every fit (default: go on from the last)"""
@@ -177,7 +174,7 @@ class TomConfig(Config):
     """stop the gradient through Q(s', a') (breaks the dual: for comparison only)"""
     parameter_average: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """r and weights come from both networks' parameters averaged with this decay (0: the last)"""
-    action_samples: Size = 4
+    action_samples: Count = 4
     """actions averaged for E_{a'~pi}[Q(s', a')], which sits inside f* (the released code: one)"""
     warmup: Count = 1000
     """on-policy steps before TOM starts; uniform weights until then"""
@@ -202,11 +199,6 @@ class TomConfig(Config):
     def preset(cls, name: Literal["paper", "exact"]) -> Self:
         """`paper`: the paper's table (appendix C.1); `exact`: what matches exact weights best."""
         return cls.model_validate(cls._presets[name])
-
-    @property
-    def starts_afresh(self) -> bool:
-        """Whether every fit begins with a new Q: an old one has seen the held-out rows."""
-        return self.q_reset or self.q_holdout > 0
 
 
 class PmacConfig(Config):
@@ -269,26 +261,6 @@ class EvaluationConfig(Config):
     episodes: Count = 10
 
 
-ADDED: dict[str, dict[str, Any]] = {
-    "tom": {
-        "flow": "discounted",
-        "discriminator_input": "transitions",
-        "q_holdout": 0.0,
-        "q_check_every": 100,
-        "q_patience": 5,
-    },
-    "model": {"uniform_share": 0.0, "termination": None},
-    "rollout": {"uniform_share": 0.0},
-}
-"""settings added later, by group, with the value that runs had before"""
-
-
-def completed(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Recorded settings plus those added since, so that old and new runs can be compared."""
-    known = {group: added for group, added in ADDED.items() if group in settings}
-    return merged(known, settings)
-
-
 class RunConfig(Config):
     """What every run has."""
 
@@ -296,7 +268,7 @@ class RunConfig(Config):
     learner: str
     seed: Whole = 0
     """seed of every random stream"""
-    steps: Steps = 10_000
+    steps: Count = 10_000
     """environment steps in all (offline: steps of policy optimisation in the model)"""
     preset: str = "paper"
     device: str = "cpu"
@@ -333,7 +305,7 @@ class OnlineConfig(RunConfig):
     """SAC updates for each env step"""
     real_ratio: Fraction = 0.05
     """share of real transitions in a SAC minibatch"""
-    replay_capacity: Size = 1_000_000
+    replay_capacity: Count = 1_000_000
     policy_capacity: Count = 1000
     """the policy buffer: the last so many on-policy transitions"""
     model: ModelConfig = ModelConfig()
@@ -350,7 +322,7 @@ class SacRecordingConfig(RunConfig):
     """SAC alone in a MuJoCo task after as many random steps, its whole replay kept in order."""
 
     learner: str = SAC_ALONE
-    steps: Steps = 200_000
+    steps: Count = 200_000
     """environment steps of SAC; as many random ones come before them"""
     exploration_steps: Whole = 1000
     """uniformly random steps at the start of SAC's own"""
@@ -373,7 +345,7 @@ class OwnLoopConfig(RunConfig):
 
     learner: str = OWN_LOOP
     """own-loop: the record of the loop itself; else the learner whose weights its buffer gets"""
-    steps: Steps = 1_000_000
+    steps: Count = 1_000_000
     """planned env steps: progress, and which fits' weights are kept, follow from it"""
     preset: str = ""
     own: dict[str, Any] = {}
@@ -386,7 +358,7 @@ class RoadConfig(RunConfig):
     """Offline model-based RL on road-and-rocks with a linear model (paper, section 5.1)."""
 
     env: str = "road-and-rocks"
-    steps: Steps = 3000
+    steps: Count = 3000
     """steps of policy optimisation in the model"""
     map_seed: Whole | None = None
     """seed of the rocks; default the run's seed"""
@@ -394,8 +366,8 @@ class RoadConfig(RunConfig):
     """mean turn of the steering on rocks, degrees"""
     spread: NonNegative = 90.0
     """half-width of the turn's uniform spread, degrees"""
-    random_transitions: Size = 10_000
-    expert_trajectories: Size = 10
+    random_transitions: Count = 10_000
+    expert_trajectories: Count = 10
     expert_first: bool = False
     """store the expert data before the random data (PMAC's weights follow the order)"""
     updates_per_step: Count = 1

@@ -144,16 +144,19 @@ class NeuralDynamics:
             rounds += 1
         best.restore()
         self.elites = best.losses.argsort()[: len(self.elites)]
-        train_loss = float(loss) / (config.batches_per_round * self.ensemble)
-        metrics = {"model/train_nll": train_loss, "model/rounds": float(rounds)}
-        return FitReport(metrics | self._holdout_metrics(x, y, best.losses), notices)
+        metrics = {
+            "model/train_nll": float(loss) / (config.batches_per_round * self.ensemble),
+            "model/holdout_nll": float(best.losses[self.elites].mean()),
+            "model/rounds": float(rounds),
+            **self._unweighted_metrics(x, y),
+        }
+        return FitReport(metrics, notices)
 
-    def _holdout_metrics(self, x: Tensor, y: Tensor, losses: Tensor) -> dict[str, float]:
-        """The elites' metrics on held-out inputs and targets, where the losses are (E,)."""
+    def _unweighted_metrics(self, x: Tensor, y: Tensor) -> dict[str, float]:
+        """Loss and squared error of the elites on z-scored inputs and targets."""
         output, elites = self.outputs(x), self.elites
         error = self.mean(output)[elites].mean(0) - y
         return {
-            "model/holdout_nll": float(losses[elites].mean()),
             "model/holdout_nll_uniform": float(self.loss_per_dim(output, y)[elites].mean()),
             "model/holdout_mse": float(error.square().mean()),
         }

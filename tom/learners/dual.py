@@ -181,7 +181,7 @@ class DualProblem:
             if judge and judge.ends(step):
                 break
         loss = {"dual/loss": float(torch.stack(losses[-max(len(losses) // 10, 1) :]).mean())}
-        return (judge.best, loss | judge.metrics) if judge else (average.net, loss)
+        return (judge.best, judge.metrics | loss) if judge else (average.net, loss)
 
     def split(self, generator: torch.Generator) -> "tuple[DualProblem, DualProblem]":
         """The same problem on the training episodes, and on the held-out ones."""

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tom.config import SAC_ALONE, Settings, completed, in_words
+from tom.config import SAC_ALONE, Settings, in_words
 from tom.data.transitions import BEHAVIOUR, Transitions
 from tom.data.unpack import DAMAGE, cannot_read_now, read_arrays
 from tom.errors import reason
@@ -106,7 +106,7 @@ class RunReader:
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """The whole of `config.json`, its settings `completed`; empty if it cannot be read."""
+        """The whole of `config.json`; empty if it cannot be read."""
         content = self._read(layout.CONFIG, read_json, needed=True)
         if content is None:
             return {}
@@ -116,8 +116,7 @@ class RunReader:
                 f"written by a newer version (schema {schema}, this one knows {layout.SCHEMA}): "
                 "parts may be missing; update tom-studio"
             )
-        settings = content.get("config")
-        return content | {"config": completed(settings)} if isinstance(settings, dict) else content
+        return content
 
     @property
     def given(self) -> dict[str, Any]:

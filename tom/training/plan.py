@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError
 from ruamel.yaml import YAML, YAMLError
 
-from tom.config import Config, OnlineConfig, RoadConfig, RunConfig, completed, flat
+from tom.config import Config, OnlineConfig, RoadConfig, RunConfig, flat
 from tom.errors import UserError, invalid_value, reason
 from tom.record import RunReader
 from tom.record.layout import run_name
@@ -151,7 +151,7 @@ def steps_beyond(config: RunConfig, run: RunReader) -> int | None:
 
     The halves of a recording of SAC depend on its steps.
     """
-    given, planned = run.given, completed(config.model_dump(mode="json"))
+    given, planned = run.given, config.model_dump(mode="json")
     if "steps" not in given:
         return None  # damaged
     same = {**given, "steps": planned["steps"]} == planned if run.fits_model else given == planned
