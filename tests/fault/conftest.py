@@ -1,4 +1,4 @@
-"""A disk of two megabytes."""
+"""A store to break, and a disk of two megabytes."""
 
 import os
 import shutil
@@ -7,6 +7,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tom.record import Store
+
+
+@pytest.fixture
+def store(made: Path, tmp_path: Path) -> Store:
+    """A copy of the store that the module has `made` once."""
+    return Store(shutil.copytree(made, tmp_path / "store"))
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """Files of arrays in which a bit is flipped, or that are cut."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +22,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     stopped(Store(path), 130, "a")
     train(config("tom"), Store(path), "whole", rerun=False)
     return path
-
-
-@pytest.fixture
-def store(made: Path, tmp_path: Path) -> Store:
-    return Store(shutil.copytree(made, tmp_path / "store"))
 
 
 def test_a_bit_flipped_anywhere_in_a_small_copys_arrays__raises_nothing(

@@ -1,7 +1,6 @@
 """Runs that are taken up with other versions, other settings, or another learner."""
 
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -27,11 +26,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     stopped(Store(path), 130, learner="tom")
     train(config("tom"), Store(path), "whole", rerun=False)
     return path
-
-
-@pytest.fixture
-def store(made: Path, tmp_path: Path) -> Store:
-    return Store(shutil.copytree(made, tmp_path / "store"))
 
 
 def change(run: Path, changed: Callable[[dict[str, Any]], object]) -> None:

@@ -31,11 +31,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture
-def store(made: Path, tmp_path: Path) -> Store:
-    return Store(shutil.copytree(made, tmp_path / "store"))
-
-
 def halved(content: bytes) -> bytes:
     lines = content.splitlines(keepends=True)
     return b"".join(lines[: len(lines) // 2])

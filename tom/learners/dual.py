@@ -236,7 +236,7 @@ class DualProblem:
         there, the dual is unbounded below, and the gap grows from fit to fit.
         """
         q_start = self.start_values(net, 1, generator)
-        low, high = quantiles(q, q.new_tensor([0.001, 0.999]))
+        low, high = torch.quantile(q, q.new_tensor([0.001, 0.999]))
         return float((low - q_start).clamp(min=0).mean() / (1 + high - low))
 
     def bias_step(self) -> float:
@@ -293,12 +293,3 @@ class DualProblem:
         """Inputs (s, a ~ pi) of Q, (K, B, O + A), and the probability of each a, (K, B)."""
         actions, probs = policy_actions(self.policy, obs, n, generator)
         return self._inputs(obs.expand(len(actions), *obs.shape), actions), probs
-
-
-def quantiles(values: Tensor, shares: Tensor) -> Tensor:
-    """`torch.quantile` of values (N,) at shares (K,), without its limit of 2^24 rows."""
-    ordered = values.sort().values  # NaN comes last
-    rank = shares * (len(values) - 1)
-    rank = torch.where(ordered[-1].isnan(), torch.full_like(rank, len(values) - 1), rank)
-    below = rank.long()
-    return ordered[below].lerp(ordered[rank.ceil().long()], rank - below)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from common import online
+from common import generator, online
 
 from tom.config import ModelConfig
 from tom.data.transitions import TensorTransitions
@@ -16,8 +16,8 @@ CONFIG = ModelConfig(batches_per_round=100)
 
 def rows(n: int, ends: bool = True, seed: int = 0) -> TensorTransitions:
     """A walk that ends where the first of three numbers falls below -1 (a sixth of the rows)."""
-    generator = torch.Generator().manual_seed(seed)
-    obs, next_obs = torch.randn(2, n, 3, generator=generator)
+    g = generator(seed)
+    obs, next_obs = torch.randn(2, n, 3, generator=g)
     fell = (next_obs[:, 0] < -1).float() if ends else torch.zeros(n)
     none = torch.zeros(n)
     return TensorTransitions(obs, torch.zeros(n, 1), none, next_obs, fell, none)
@@ -25,9 +25,9 @@ def rows(n: int, ends: bool = True, seed: int = 0) -> TensorTransitions:
 
 def fitted(weights: torch.Tensor | None = None, config: ModelConfig = CONFIG, **given):
     data = rows(3000, **given)
-    head = EndingHead(3, config, torch.Generator().manual_seed(1))
+    head = EndingHead(3, config, generator(1))
     weights = torch.ones(len(data)) if weights is None else weights
-    return head, *head.fit(data, weights, len(data), torch.Generator().manual_seed(2))
+    return head, *head.fit(data, weights, len(data), generator(2))
 
 
 @pytest.mark.parametrize("weights", ["sample", "scale"])
@@ -47,7 +47,7 @@ def test_nothing_ends_before_an_end_was_seen():
     head, metrics, _ = fitted(ends=False)
     assert metrics == {"model/ends_threshold": NEVER}
     assert not head(torch.full((5, 3), -9.0)).any()
-    assert not EndingHead(3, CONFIG, torch.Generator())(torch.zeros(5, 3)).any()
+    assert not EndingHead(3, CONFIG, generator())(torch.zeros(5, 3)).any()
 
 
 def test_rows_without_weight_are_not_learnt_from():
@@ -56,8 +56,8 @@ def test_rows_without_weight_are_not_learnt_from():
     head, _, _ = fitted(torch.where(other, 2.0, 0.0))
     turned = rows(3000)
     turned.terminated[~other] = 1 - turned.terminated[~other]  # nonsense that counts nothing
-    again = EndingHead(3, CONFIG, torch.Generator().manual_seed(1))
-    again.fit(turned, torch.where(other, 2.0, 0.0), 3000, torch.Generator().manual_seed(2))
+    again = EndingHead(3, CONFIG, generator(1))
+    again.fit(turned, torch.where(other, 2.0, 0.0), 3000, generator(2))
     fresh = rows(500, seed=4).next_obs
     assert head.threshold == pytest.approx(again.threshold)
     assert torch.allclose(head.probability(fresh), again.probability(fresh))
@@ -73,15 +73,15 @@ def test_ends_that_have_no_weight_are_learnt_without_weights_and_that_is_said():
 
 
 def the_held_out_and_the_others(n: int) -> tuple[torch.Tensor, torch.Tensor]:
-    return EndingHead(3, CONFIG, torch.Generator())._split(rows(n), n)
+    return EndingHead(3, CONFIG, generator())._split(rows(n), n)
 
 
 def test_an_end_that_is_held_out_teaches_nothing():
     data = rows(3000, ends=False)
     held, _ = the_held_out_and_the_others(3000)
     data.terminated[held[100]] = 1
-    head = EndingHead(3, CONFIG, torch.Generator().manual_seed(1))
-    metrics, notices = head.fit(data, torch.ones(3000), 3000, torch.Generator().manual_seed(2))
+    head = EndingHead(3, CONFIG, generator(1))
+    metrics, notices = head.fit(data, torch.ones(3000), 3000, generator(2))
     assert metrics == {"model/ends_threshold": NEVER}
     assert notices == ()
     assert not head(rows(500, seed=9).next_obs).any()
@@ -108,18 +108,18 @@ def test_one_end_unlike_those_it_learnt_from_does_not_end_everything():
     data.next_obs[kept[:4]] = torch.tensor([4.0, 0.0, 0.0])
     data.terminated[kept[:4]] = 1
     data.terminated[held[100]] = 1
-    head = EndingHead(3, CONFIG, torch.Generator().manual_seed(1))
-    head.fit(data, torch.ones(3000), 3000, torch.Generator().manual_seed(2))
+    head = EndingHead(3, CONFIG, generator(1))
+    head.fit(data, torch.ones(3000), 3000, generator(2))
     assert head(rows(2000, seed=9).next_obs).float().mean() < 0.01
     assert head(torch.tensor([[4.0, 0.0, 0.0]])).all()
 
 
 def test_its_state_is_all_of_it():
     head, _, _ = fitted()
-    other = EndingHead(3, CONFIG, torch.Generator().manual_seed(7))
+    other = EndingHead(3, CONFIG, generator(7))
     other.load_state_dict(head.state_dict())
     data, weights = rows(800, seed=3), torch.ones(800)
-    both = [one.fit(data, weights, 800, torch.Generator().manual_seed(4)) for one in (head, other)]
+    both = [one.fit(data, weights, 800, generator(4)) for one in (head, other)]
     assert both[0] == both[1]
     assert torch.equal(head.probability(data.obs), other.probability(data.obs))
 
@@ -129,14 +129,14 @@ def test_what_it_is_measured_on_was_never_trained_on():
 
     The buffer forgets its oldest rows from fit to fit.
     """
-    generator, none = torch.Generator().manual_seed(3), torch.zeros(700)
-    obs = torch.randn(700, 11, generator=generator)
-    ended = (torch.rand(700, generator=generator) < 0.2).float()
+    g, none = generator(3), torch.zeros(700)
+    obs = torch.randn(700, 11, generator=g)
+    ended = (torch.rand(700, generator=g) < 0.2).float()
     data = TensorTransitions(obs, obs[:, :1], none, obs, ended, none)
-    head, losses = EndingHead(11, CONFIG, generator), []
+    head, losses = EndingHead(11, CONFIG, g), []
     for first in range(0, 200, 23):
         held, weights = data[first : first + 500], torch.ones(500)
-        metrics, _ = head.fit(held, weights, first + 500, generator)
+        metrics, _ = head.fit(held, weights, first + 500, g)
         losses.append(metrics["model/ends_loss"])
     assert min(losses) > 0.4
 

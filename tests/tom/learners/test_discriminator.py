@@ -87,10 +87,6 @@ def test_cross_entropy_labels_policy_one_and_replay_the_smoothing(smoothing):
     torch.testing.assert_close(cross_entropy(logits, smoothing), expected)
 
 
-def test_accuracy_counts_both_sides():
-    assert float(accuracy(torch.tensor([2.0, -1.0, -3.0, -4.0]))) == pytest.approx(0.75)
-
-
 def test_membership_is_one_exactly_on_the_policy_buffers_rows():
     replay = rows(1000)
     chosen = torch.tensor([3, 500, 999])
@@ -100,14 +96,12 @@ def test_membership_is_one_exactly_on_the_policy_buffers_rows():
     assert float(membership_reward(replay, rows(50, seed=9)).sum()) == 0.0
 
 
-def test_calibration_error_by_hand():
+def test_accuracy_and_calibration_error_by_hand():
     """Of three rows at c = 0.8 two are the policy's; the one at c = 0.2 is not."""
-    c = torch.tensor([0.8, 0.8, 0.8, 0.2])  # two policy rows, then two replay rows
+    logits = torch.logit(torch.tensor([0.8, 0.8, 0.8, 0.2]))  # two policy rows, two replay rows
+    assert float(accuracy(logits)) == pytest.approx(0.75)
     expected = (3 * abs(2 / 3 - 0.8) + 1 * abs(0 - 0.2)) / 4
-    assert float(calibration_error(torch.logit(c))) == pytest.approx(expected, abs=1e-6)
-
-
-def test_the_calibration_error_of_what_is_no_number_is_none():
+    assert float(calibration_error(logits)) == pytest.approx(expected, abs=1e-6)
     assert calibration_error(torch.tensor([0.0, torch.nan, 1.0, -1.0])).isnan()
 
 

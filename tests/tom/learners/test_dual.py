@@ -17,7 +17,6 @@ from tom.learners.dual import (
     Values,
     dual_argument,
     dual_loss,
-    quantiles,
     values_of,
 )
 from tom.learners.terms import Flow
@@ -202,19 +201,3 @@ def test_q_is_never_negative_where_the_paper_prints_it_so():
     config = QUICK.but(q_non_negative=True)
     terms = problem(rows(64), config).terms(net(config), generator())
     assert (terms.now >= 0).all()
-
-
-def test_start_gap_of_more_rows_than_torch_quantile_takes():
-    dual, q = problem(rows(50)), torch.linspace(-1, 1, 2**24 + 1)
-    q_start = dual.start_values(net(), 1, generator())
-    gap = float((-0.998 - q_start).clamp(min=0).mean() / (1 + 2 * 0.998))
-    assert dual.start_gap(net(), q, generator()) == pytest.approx(gap, rel=1e-4, abs=1e-6)
-
-
-@pytest.mark.parametrize("n", [1, 2, 7, 1000, 4321])
-def test_quantiles_are_torchs_to_the_bit(n: int):
-    shares = torch.tensor([0.001, 0.25, 0.999])
-    values = torch.randn(n, generator=generator(n))
-    assert torch.equal(quantiles(values, shares), torch.quantile(values, shares))
-    values[0] = float("nan")
-    assert quantiles(values, shares).isnan().all()

@@ -1,5 +1,6 @@
 import pytest
 import torch
+from common import generator
 from made import OBS, context, rows
 from torch import Tensor
 
@@ -35,7 +36,7 @@ def test_the_dimension_that_matters_gets_the_weight():
 
 
 def test_clipping_bounds_rows_and_keeps_their_proportions():
-    g = torch.Generator().manual_seed(0)
+    g = generator()
     raw = torch.rand(1000, OBS, generator=g) ** 6
     raw[0] *= 1e6
     found = clip_rows(raw, 0.95)

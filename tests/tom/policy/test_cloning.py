@@ -1,12 +1,13 @@
 import pytest
 import torch
+from common import generator
 
 from tom.data.transitions import TensorTransitions
 from tom.policy.foreign import clone
 
 
 def test_the_clone_finds_mean_and_noise_of_the_policy():
-    g = torch.Generator().manual_seed(0)
+    g = generator()
     obs = torch.rand(2000, 2, generator=g)
     mean = torch.stack([obs[:, 0] - 0.5, 0.3 - 0.6 * obs[:, 1]], -1)
     action = mean + torch.tensor([0.05, 0.2]) * torch.randn(2000, 2, generator=g)

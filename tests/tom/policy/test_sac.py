@@ -2,6 +2,7 @@ from dataclasses import fields
 
 import pytest
 import torch
+from common import generator
 from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
 
 from tom.config import SacConfig
@@ -14,11 +15,11 @@ OBS, ACTION, BATCH = 3, 2, 64
 
 def make(seed: int, **changes: float) -> Sac:
     config = SacConfig(hidden=32).but(**changes)
-    return Sac(OBS, ACTION, config, torch.Generator().manual_seed(seed))
+    return Sac(OBS, ACTION, config, generator(seed))
 
 
 def batch(seed: int = 0, **flags: float) -> TensorTransitions:
-    g = torch.Generator().manual_seed(seed)
+    g = generator(seed)
     return TensorTransitions(
         torch.randn(BATCH, OBS, generator=g),
         torch.rand(BATCH, ACTION, generator=g) * 2 - 1,
@@ -159,8 +160,8 @@ def test_state_round_trip_continues_bit_for_bit():
 
 def test_learns_a_one_step_bandit():
     """Reward -(a - 0.5)^2, every step terminal: the mean action must go to 0.5."""
-    sac = Sac(1, 1, SacConfig(hidden=32, lr=3e-3), torch.Generator().manual_seed(0))
-    g = torch.Generator().manual_seed(1)
+    sac = Sac(1, 1, SacConfig(hidden=32, lr=3e-3), generator())
+    g = generator(1)
     for _ in range(400):
         action = torch.rand(128, 1, generator=g) * 2 - 1
         zeros, ones = torch.zeros(128, 1), torch.ones(128)
@@ -174,8 +175,8 @@ def test_a_members_draws_and_values_are_those_that_its_critics_are_trained_on():
     sac = make(3, discount=0.9)
     sac.log_temperature.fill_(-0.7)
     one, member = batch(truncated=1.0), sac.policy
-    noise = torch.randn(BATCH, ACTION, generator=torch.Generator().manual_seed(5))
+    noise = torch.randn(BATCH, ACTION, generator=generator(5))
     target = sac.critic_target(one, noise)
-    action, log_prob = member.draw(one.next_obs, torch.Generator().manual_seed(5))
+    action, log_prob = member.draw(one.next_obs, generator(5))
     soft = member.value(one.next_obs, action) - sac.log_temperature.exp() * log_prob
     torch.testing.assert_close(one.reward + 0.9 * soft, target)
