@@ -1,13 +1,13 @@
 """The card of recorded data: its facts in one pass, and where they contradict each other.
 
 Whoever brings data, a policy or a task may have made one of a few common mistakes, after which all
-numbers look right and are not. Each has a line in `CHECKS`: its code, when it holds of a card, and
-a text that names the fact, the likely cause and the fix. docs/your-own.md lists them for users.
+numbers look right and are not. Each has a notice: a code, and a text that names the fact, the
+likely cause and the fix. docs/your-own.md lists them for users.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -130,7 +130,9 @@ class Card:
 
     def notices(self) -> tuple[Notice, ...]:
         """What contradicts itself, each once."""
-        return *((c.code, c.text(self)) for c in CHECKS if c.holds(self)), *self.others
+        return (
+            *_of_values(self), *_of_flags(self), *_of_task(self), *_of_policy(self), *self.others,
+        )  # fmt: skip
 
     def described(self) -> dict[str, Any]:
         """The card as it is stored in `report.json`."""
@@ -157,6 +159,11 @@ def take(rows: Transitions, ordered: bool = True) -> Card:
     length = np.diff(last, prepend=-1)
     longest = length == length.max()
     starts = np.append(0, last[:-1] + 1)
+    stride = 0
+    if breaks > UNORDERED * len(obs):
+        most = 0.5 * len(obs)
+        later = (k for k in STRIDES if (successive(obs, next_obs, k) & ~ends[:-k]).sum() > most)
+        stride = next(later, 0)
     return Card(
         rows=len(obs),
         episodes=len(last),
@@ -165,7 +172,7 @@ def take(rows: Transitions, ordered: bool = True) -> Card:
         both_flags=int((terminated & truncated).sum()),
         breaks=breaks,
         joined=int((follows & ends[:-1]).sum()),
-        stride=_stride(obs, next_obs, ends) if breaks > UNORDERED * len(obs) else 0,
+        stride=stride,
         longest=int(length.max()),
         longest_episodes=int(longest.sum()),
         ends_at_longest=int((longest & terminated[last]).sum()),
@@ -200,52 +207,69 @@ def successive(obs: NDArray, next_obs: NDArray, by: int = 1) -> NDArray[np.bool_
     return follows
 
 
-def _stride(obs: NDArray, next_obs: NDArray, ends: NDArray[np.bool_]) -> int:
-    """The k for which most rows are followed k rows later; 0 if there is none."""
-    for k in STRIDES:
-        follows = successive(obs, next_obs, k) & ~ends[: len(ends) - k]
-        if follows.sum() > UNORDERED * len(obs):
-            return k
-    return 0
-
-
 # What may be wrong
 
 
-@dataclass(frozen=True)
-class Check:
-    code: str
-    holds: Callable[[Card], bool]
-    text: Callable[[Card], str]
-
-
-def _dims(which: NDArray[np.bool_]) -> str:
-    numbers = np.flatnonzero(which).tolist()
-    shown = ", ".join(map(str, numbers[:8])) + (", ..." if len(numbers) > 8 else "")
-    return f"dimension {shown}" if len(numbers) == 1 else f"dimensions {shown}"
-
-
-def _imprecise(card: Card) -> NDArray[np.bool_]:
-    """Observations (O,) whose values single precision cannot tell apart, because they lie far out,
-    or because of the task's bounds."""
+def _of_values(card: Card) -> Iterator[Notice]:
+    if card.rows < FEW_ROWS:
+        yield (
+            "few-rows",
+            f"a buffer of size {card.rows} is too small for a network to learn from: record at "
+            f"least some {FEW_ROWS}, better thousands",
+        )
     seen = card.seen or card.obs
     step = np.spacing(seen.largest.astype(np.float32)).astype(np.float64)
     changes = seen.std > ROUNDING * np.maximum(seen.largest, 1e-300)
     far = (card.obs.largest > 1e3) | (np.abs(seen.std - card.obs.std) > 0.5 * card.obs.std)
-    return changes & far & (seen.std < LEVELS * step)
+    lost = changes & far & (seen.std < LEVELS * step)  # far out, or by the task's bounds
+    if lost.any():
+        mean, std = float(card.obs.mean[lost][0]), float(card.obs.std[lost][0])
+        yield (
+            "precision",
+            f"single precision cannot tell the values of observation {_dims(lost)} apart (a mean "
+            f"of {short(mean)}, a standard deviation of {short(std)}): an offset, or bounds that "
+            "are far too wide; subtract it, or give the observation space bounds that the values "
+            "fill",
+        )
 
 
-def _inverted(card: Card) -> bool:
-    ends = card.terminations > 0.5 * card.rows
-    return ends and card.rows > 1 and (card.joined > 0.5 * card.rows or card.lost > 0)
-
-
-def _disordered(card: Card) -> bool:
-    ends = max(card.episodes - 1, 1)
-    return not _inverted(card) and (card.breaks > 0 or card.joined > max(1, 0.1 * ends))
+def _of_flags(card: Card) -> Iterator[Notice]:
+    goes_on = card.joined > 0.5 * card.rows or card.lost > 0
+    inverted = card.rows > 1 and card.terminations > 0.5 * card.rows and goes_on
+    if inverted:
+        yield (
+            "flags",
+            f"{100 * card.terminations / card.rows:.0f} % of the rows are terminated, and yet "
+            "they go on: is 'terminated' a mask, 1 - done? Write 1 where the task ended",
+        )
+    elif order := _order(card):
+        yield "order", order
+    if card.both_flags > max(1, 0.1 * card.truncations) and not inverted:
+        yield (
+            "both-flags",
+            f"{card.both_flags:,} rows are terminated and truncated, and count as terminated: "
+            "if a time limit ended them, terminated has to be 0 there",
+        )
+    most = card.ends_at_longest > 0.5 * card.longest_episodes
+    at_limit = card.longest == card.limit
+    if most and card.longest >= 10 and card.ends_at_longest >= (2 if at_limit else 4):
+        limit = f"the limit of {card.task}" if at_limit else "and none lasts longer"
+        yield (
+            "ends-at-limit",
+            f"{card.ends_at_longest:,} episodes terminate after exactly {card.longest:,} steps, "
+            f"{limit}: a time limit recorded as a termination; it belongs in 'truncated' "
+            "(stable-baselines3: handle_timeout_termination)",
+        )
+    if card.lost:
+        yield (
+            "no-next-obs",
+            "without 'next_obs' the last row of each episode is left out, and with it "
+            f"{card.lost:,} terminations: record 'next_obs'",
+        )
 
 
 def _order(card: Card) -> str:
+    """Where rows are not in the order of collection, with the likely causes; empty if they are."""
     facts, causes = [], []
     if card.breaks:
         facts.append(f"{card.breaks:,} of {card.rows:,} rows break off without an end")
@@ -260,19 +284,57 @@ def _order(card: Card) -> str:
         facts.append(f"after {card.joined:,} ends the next row goes on where the episode ended")
         causes.append("the reset's row of next-step autoreset (leave it out), or next_obs taken "
                       "from the next episode (keep the last observation)")  # fmt: skip
-    return f"{' and '.join(facts)}: {'; '.join(causes)}"
+    return f"{' and '.join(facts)}: {'; '.join(causes)}" if facts else ""
 
 
-def _at_limit(card: Card) -> bool:
-    most = card.ends_at_longest > 0.5 * card.longest_episodes
-    least = 2 if card.longest == card.limit else 4
-    return most and card.longest >= 10 and card.ends_at_longest >= least
+def _of_task(card: Card) -> Iterator[Notice]:
+    missed, invented = card.missed or 0, card.invented or 0
+    if missed > 0.1 * card.terminations or invented > 1 + 1e-3 * card.rows:
+        yield (
+            "rule",
+            f"the termination rule {card.rule} contradicts the recorded ends: it does not know "
+            f"{missed:,} of {card.terminations:,} terminations and would end {invented:,} of "
+            f"{card.rows - card.terminations:,} other rows: another task's data, or a rule that is "
+            "wrong (inverted, too tight, in other units); `--termination learnt` learns it from "
+            "the data",
+        )
+    scaled = _unit_actions(card.action, card, 0.98)
+    if scaled.any():
+        yield (
+            "action-range",
+            f"the recorded actions of {_dims(scaled)} fill [-1, 1] and no more, where {card.task} "
+            f"takes {_bounds(card)}: actions of a library that scales them; write them in the "
+            "task's own units",
+        )
 
 
-def _contradicted(card: Card) -> bool:
-    if card.missed is None or card.invented is None:
-        return False
-    return card.missed > 0.1 * card.terminations or card.invented > 1 + 1e-3 * card.rows
+def _of_policy(card: Card) -> Iterator[Notice]:
+    if card.policy is None:
+        return
+    policy, own = card.policy, card.policy.own
+    low, high = policy.log_std or (0.0, 0.0)
+    if policy.drawn:
+        yield (
+            "policy-spread",
+            "the policy's first output is drawn anew at each call, so it is an action and no mean: "
+            "it is taken as the action, without the second (a log probability or a value?); let it "
+            "return (mean, log_std) before the tanh, or actions only",
+        )
+    elif low > 0 or high > 5 or low < -20.5:
+        yield (
+            "policy-spread",
+            f"the policy's second output, read as log_std, lies in {short(low)} to {short(high)}, "
+            f"which makes actions spread by {policy.spread:.2f} of [-1, 1]: a standard deviation, "
+            "a log probability or a value? Let it return (mean, log_std), or actions only",
+        )
+    acts = policy.log_std is None or policy.drawn
+    if policy.beyond > 0.5 or (acts and _unit_actions(own, card, 0.9).any()):
+        span = f"{short(float(own.low.min()))} to {short(float(own.high.max()))}"
+        yield (
+            "policy-range",
+            f"the policy's actions lie in {span}, where {card.task} takes {_bounds(card)}: of "
+            "another scale? Return them in the task's own units",
+        )
 
 
 def _unit_actions(own: Range, card: Card, reach: float) -> NDArray[np.bool_]:
@@ -280,131 +342,8 @@ def _unit_actions(own: Range, card: Card, reach: float) -> NDArray[np.bool_]:
     if card.bounds is None:
         return np.zeros(len(own.low), bool)
     low, high = card.bounds
-    wider = (low < -1.5) | (high > 1.5)
-    inside = own.largest <= 1 + 1e-5
-    if not (inside | ~wider).all():
-        return np.zeros(len(own.low), bool)
-    return wider & inside & (own.largest >= reach)
-
-
-def _policy(holds: Callable[[PolicyFacts, Card], bool]) -> Callable[[Card], bool]:
-    return lambda card: card.policy is not None and holds(card.policy, card)
-
-
-def _spread(policy: PolicyFacts, _: Card) -> bool:
-    low, high = policy.log_std or (0.0, 0.0)
-    return policy.drawn or low > 0 or high > 5 or low < -20.5
-
-
-def _spread_text(card: Card) -> str:
-    assert card.policy is not None
-    assert card.policy.log_std is not None
-    low, high = card.policy.log_std
-    if card.policy.drawn:
-        return (
-            "the policy's first output is drawn anew at each call, so it is an action and no mean: "
-            "it is taken as the action, without the second (a log probability or a value?); let it "
-            "return (mean, log_std) before the tanh, or actions only"
-        )
-    return (
-        f"the policy's second output, read as log_std, lies in {short(low)} to {short(high)}, "
-        f"which makes actions spread by {card.policy.spread:.2f} of [-1, 1]: a standard deviation, "
-        "a log probability or a value? Let it return (mean, log_std), or actions only"
-    )
-
-
-CHECKS = (
-    Check(
-        "few-rows",
-        lambda c: c.rows < FEW_ROWS,
-        lambda c: (
-            f"a buffer of size {c.rows} is too small for a network to learn from: record at "
-            f"least some {FEW_ROWS}, better thousands"
-        ),
-    ),
-    Check(
-        "precision",
-        lambda c: bool(_imprecise(c).any()),
-        lambda c: (
-            f"single precision cannot tell the values of observation {_dims(_imprecise(c))} "
-            f"apart (a mean of {short(float(c.obs.mean[_imprecise(c)][0]))}, a standard deviation "
-            f"of {short(float(c.obs.std[_imprecise(c)][0]))}): an offset, or bounds that are far "
-            "too wide; subtract it, or give the observation space bounds that the values fill"
-        ),
-    ),
-    Check(
-        "flags",
-        _inverted,
-        lambda c: (
-            f"{100 * c.terminations / c.rows:.0f} % of the rows are terminated, and yet they "
-            "go on: is 'terminated' a mask, 1 - done? Write 1 where the task ended"
-        ),
-    ),
-    Check("order", _disordered, _order),
-    Check(
-        "both-flags",
-        lambda c: c.both_flags > max(1, 0.1 * c.truncations) and not _inverted(c),
-        lambda c: (
-            f"{c.both_flags:,} rows are terminated and truncated, and count as terminated: "
-            "if a time limit ended them, terminated has to be 0 there"
-        ),
-    ),
-    Check(
-        "ends-at-limit",
-        _at_limit,
-        lambda c: (
-            f"{c.ends_at_longest:,} episodes terminate after exactly {c.longest:,} steps"
-            + (f", the limit of {c.task}" if c.longest == c.limit else ", and none lasts longer")
-            + ": a time limit recorded as a termination; it belongs in 'truncated' "
-            "(stable-baselines3: handle_timeout_termination)"
-        ),
-    ),
-    Check(
-        "no-next-obs",
-        lambda c: c.lost > 0,
-        lambda c: (
-            f"without 'next_obs' the last row of each episode is left out, and with it "
-            f"{c.lost:,} terminations: record 'next_obs'"
-        ),
-    ),
-    Check(
-        "rule",
-        _contradicted,
-        lambda c: (
-            f"the termination rule {c.rule} contradicts the recorded ends: it does not "
-            f"know {c.missed:,} of {c.terminations:,} terminations and would end {c.invented:,} of "
-            f"{c.rows - c.terminations:,} other rows: another task's data, or a rule that is wrong "
-            "(inverted, too tight, in other units); `--termination learnt` learns it from the data"
-        ),
-    ),
-    Check(
-        "action-range",
-        lambda c: bool(_unit_actions(c.action, c, 0.98).any()),
-        lambda c: (
-            f"the recorded actions of {_dims(_unit_actions(c.action, c, 0.98))} fill [-1, 1] "
-            f"and no more, where {c.task} takes {_bounds(c)}: actions of a library that scales "
-            "them; write them in the task's own units"
-        ),
-    ),
-    Check(
-        "policy-spread",
-        _policy(_spread),
-        _spread_text,
-    ),
-    Check(
-        "policy-range",
-        _policy(
-            lambda p, c: (
-                p.beyond > 0.5
-                or ((p.log_std is None or p.drawn) and bool(_unit_actions(p.own, c, 0.9).any()))
-            )
-        ),
-        lambda c: (
-            f"the policy's actions lie in {_span(c)}, where {c.task} takes {_bounds(c)}: "
-            "of another scale? Return them in the task's own units"
-        ),
-    ),
-)
+    wider, inside = (low < -1.5) | (high > 1.5), own.largest <= 1 + 1e-5
+    return wider & inside & (own.largest >= reach) & (inside | ~wider).all()
 
 
 def _bounds(card: Card) -> str:
@@ -413,10 +352,10 @@ def _bounds(card: Card) -> str:
     return f"{short(float(low.min()))} to {short(float(high.max()))}"
 
 
-def _span(card: Card) -> str:
-    assert card.policy is not None
-    own = card.policy.own
-    return f"{short(float(own.low.min()))} to {short(float(own.high.max()))}"
+def _dims(which: NDArray[np.bool_]) -> str:
+    numbers = np.flatnonzero(which).tolist()
+    shown = ", ".join(map(str, numbers[:8])) + (", ..." if len(numbers) > 8 else "")
+    return f"dimension {shown}" if len(numbers) == 1 else f"dimensions {shown}"
 
 
 def sentence(card: Mapping[str, Any]) -> str:
