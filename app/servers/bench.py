@@ -17,7 +17,7 @@ from app.data.studies import FOLDER, QUESTIONS, REPORT
 from app.servers import browser_bench, map_bench
 from app.servers.browser_bench import Measured
 from tom.cli import Parser
-from tom.cli.tables import show_rows
+from tom.cli.output import show_rows
 from tom.envs import ROAD
 from tom.record import layout
 from tom.record.reader import RunReader

@@ -17,7 +17,7 @@ from app.scenes.film import HEIGHT, SECONDS, WIDTH, cinema
 from app.scenes.film.story import may_be_told, story
 from app.servers.browser import animation, chromium, scaled
 from app.theme import Mode
-from tom.cli.progress import CountReport
+from tom.cli.output import ProgressReport
 from tom.errors import UserError
 from tom.record.files import replace
 
@@ -57,7 +57,7 @@ def export(
         raise UserError(f"run '{run_id}' has no story: it needs model fits and its buffer")
     page = cinema(story(run), run.learner, mode, seconds)
     with opened(page) as tab:
-        with CountReport("seconds of the film", round(seconds), sys.stderr) as bar:
+        with ProgressReport("seconds of the film", round(seconds), sys.stderr) as bar:
             film = video(tab, seconds, lambda share: bar.step())
         short = moving_picture(tab, seconds)
     folder.mkdir(parents=True, exist_ok=True)  # all of it is made, or none

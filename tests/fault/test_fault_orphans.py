@@ -10,31 +10,15 @@ from tom.record import Store
 
 pytestmark = pytest.mark.fault
 
-LEARN = ("bench", "learn", "--learner", "mle", "--seeds", 0, "--steps", 100_000)
-
 
 def under_way(store: Path) -> bool:
     return any(run.status.alive and run.status.env_step > 0 for run in Store(store).runs())
 
 
-def stopped(store: Path) -> bool:
-    return all(run.status.state == "stopped" for run in Store(store).runs())
-
-
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_tom_bench_learn_is_killed__its_training_stops_with_a_checkpoint(
-    tmp_path: Path, number: signal.Signals
-):
-    process = tom(*LEARN, "--store", tmp_path)
-    wait_until(lambda: under_way(tmp_path))
-    process.send_signal(number)
-    wait_until(lambda: stopped(tmp_path))
-    assert ended(process)[0] == (1 if number is signal.SIGTERM else -signal.SIGKILL)
-
-
-def test_tom_demo_is_killed_with_sigkill__its_trainings_end(tmp_path: Path):
+def test_tom_demo_is_killed__its_trainings_end(tmp_path: Path, number: signal.Signals):
     process = tom("demo", "--headless", "--store", tmp_path)
     wait_until(lambda: under_way(tmp_path))
-    process.kill()
+    process.send_signal(number)
     wait_until(lambda: not any(run.status.alive for run in Store(tmp_path).runs()))
-    ended(process)
+    assert ended(process)[0] == (0 if number is signal.SIGTERM else -signal.SIGKILL)

@@ -210,7 +210,7 @@ def test_evaluation_leaves_the_training_alone():
 
 
 def test_it_begins_to_balance():
-    """The short version of `tom bench learn`: soon several times better than random actions."""
+    """Soon it is several times better than random actions."""
     changes = {"steps": 550, "updates_per_step": 6}
     config = online("inverted-pendulum", "mle", changes, "paper")
     events = run(config)[1]

@@ -1,15 +1,28 @@
-"""The parts of a Hopper step in the `paper` preset, ready to be timed."""
+"""The parts of a Hopper step in the `paper` preset, and what other libraries do in their place."""
 
 from collections.abc import Iterator
-from itertools import pairwise
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
+from torch import nn
+from torch.distributions import Categorical, MixtureSameFamily, Normal
 
-from tom.bench.recording import CYCLES, record_run
-from tom.bench.timing import DISTANCES, EXAM, Part
+from tom.bench.timing import (
+    ACTION,
+    BATCH,
+    DISTANCES,
+    EXAM,
+    OBS,
+    Part,
+    model_flops,
+    network_flops,
+    rollout_flops,
+    sac_flops,
+)
+from tom.bench.training import CYCLES, record_run
 from tom.config import ModelConfig, PolicyDistanceConfig, RolloutConfig, SacConfig, TomConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import WeightedSampler
@@ -24,7 +37,6 @@ from tom.policy.rollout import roll_out
 from tom.policy.sac import Sac
 from tom.record import Store
 
-OBS, ACTION, BATCH = 11, 3, 256
 ROLLED = 20_000
 """start states of a rollout; the cost is printed per thousand"""
 WEIGHED = 100_000
@@ -34,7 +46,7 @@ EXAMINED = 250
 
 
 def parts() -> Iterator[Part]:
-    """Every part that needs no other library to compare with."""
+    """Every part, a plain torch network, and stable-baselines3's update if it is installed."""
     yield _sac()
     yield _model_step("mdn")
     yield _model_step("ensemble")
@@ -45,6 +57,9 @@ def parts() -> Iterator[Part]:
     yield _sampling()
     yield _environment()
     yield _recording()
+    yield _plain_mdn()
+    if find_spec("stable_baselines3"):
+        yield _stable_baselines3()
 
 
 def transitions(n: int, seed: int = 0) -> TensorTransitions:
@@ -54,36 +69,6 @@ def transitions(n: int, seed: int = 0) -> TensorTransitions:
     action = torch.rand(n, ACTION, generator=g) * 2 - 1
     next_obs = obs + 0.1 * torch.randn(n, OBS, generator=g)
     return TensorTransitions(obs, action, obs[:, 0], next_obs, torch.zeros(n), torch.zeros(n))
-
-
-def network_flops(sizes: list[int], rows: int) -> float:
-    """Multiply-adds of one forward pass, times two."""
-    return 2.0 * rows * sum(a * b for a, b in pairwise(sizes))
-
-
-def model_flops(config: ModelConfig, obs: int = OBS, action: int = ACTION) -> float:
-    """Matrix arithmetic of a step of the mixture density network's fit, or the ensemble's."""
-    per_dim, networks = {"mdn": (3 * config.components, 1), "ensemble": (2, config.members)}[
-        config.kind
-    ]
-    sizes = [obs + action, *[config.hidden] * config.layers, (1 + obs) * per_dim]
-    forward, first = network_flops(sizes, BATCH), network_flops(sizes[:2], BATCH)
-    return networks * (3 * forward - first)
-
-
-def sac_flops(config: SacConfig, obs: int = OBS, action: int = ACTION) -> float:
-    """Matrix arithmetic of a SAC update.
-
-    Critics: target forward, forward, and two backward products a layer but for the first layer's
-    input; actor: forward at s and s', backward, and the critics' forward and input gradient.
-    """
-    hidden = [config.hidden] * config.layers
-    critic = network_flops([obs + action, *hidden, 1], BATCH)
-    critic_first = network_flops([obs + action, config.hidden], BATCH)
-    actor = network_flops([obs, *hidden, 2 * action], BATCH)
-    actor_first = network_flops([obs, config.hidden], BATCH)
-    critics = 2 * (critic + critic + 2 * critic - critic_first)
-    return critics + 2 * actor + (2 * actor - actor_first) + 2 * (critic + critic)
 
 
 def _sac() -> Part:
@@ -197,16 +182,6 @@ def _exam() -> Part:
     return Part(EXAM, sit)
 
 
-def rollout_flops(
-    model: ModelConfig, sac: SacConfig, obs: int = OBS, action: int = ACTION
-) -> float:
-    """Matrix arithmetic of one rollout step: the actor, then the mixture density network."""
-    outputs = (1 + obs) * 3 * model.components
-    return network_flops([obs, *[sac.hidden] * sac.layers, 2 * action], 1) + network_flops(
-        [obs + action, *[model.hidden] * model.layers, outputs], 1
-    )
-
-
 def _sampling() -> Part:
     weights, generator = torch.rand(1_000_000), torch.Generator().manual_seed(0)
     return Part(
@@ -234,3 +209,55 @@ def _recording() -> Part:
         record_run(Store(Path(folder.name)))
 
     return Part("recording 250 steps, late in a run", record, CYCLES)
+
+
+# Peers
+
+
+def _plain_mdn() -> Part:
+    """A mixture density network in plain torch: linear layers, MixtureSameFamily, Adam."""
+    layers: list[nn.Module] = []
+    for n_in in (OBS + ACTION, 200, 200, 200):
+        layers += [nn.Linear(n_in, 200), nn.SiLU()]
+    outputs = 1 + OBS
+    net = nn.Sequential(*layers, nn.Linear(200, 3 * 10 * outputs))
+    optimiser = torch.optim.Adam(net.parameters(), lr=1e-3)
+    x, y = torch.randn(BATCH, OBS + ACTION), torch.randn(BATCH, outputs)
+
+    def step() -> None:
+        mean, raw, logits = net(x).reshape(BATCH, 3, outputs, 10).unbind(1)
+        mixture = MixtureSameFamily(
+            Categorical(logits=logits), Normal(mean, nn.functional.softplus(raw) + 1e-3)
+        )
+        optimiser.zero_grad()
+        (-mixture.log_prob(y)).mean().backward()
+        optimiser.step()
+
+    return Part(
+        "plain torch.distributions MDN step",
+        lambda: [step() for _ in range(20)],
+        20,
+        peer_of="mdn step (in a fit)",
+    )
+
+
+def _stable_baselines3() -> Part:
+    import gymnasium as gym
+    from stable_baselines3 import SAC  # pyright: ignore[reportMissingImports]
+    from stable_baselines3.common.logger import configure  # pyright: ignore[reportMissingImports]
+
+    agent = SAC("MlpPolicy", gym.make("Hopper-v5"), batch_size=BATCH, device="cpu", verbose=0)
+    agent.set_logger(configure(None, []))
+    rows = transitions(1000).numpy()
+    buffer = agent.replay_buffer
+    assert buffer is not None
+    fields = rows.obs, rows.next_obs, rows.action, rows.reward, rows.terminated
+    columns = map(np.asarray, fields)
+    for obs, following, action, reward, end in zip(*columns, strict=True):
+        buffer.add(obs, following, action, reward, end, [{}])
+    return Part(
+        "stable-baselines3 SAC update",
+        lambda: agent.train(gradient_steps=20, batch_size=BATCH),
+        20,
+        peer_of="SAC update",
+    )

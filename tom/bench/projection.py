@@ -10,8 +10,7 @@ from math import isfinite
 from statistics import fmean
 from typing import Any
 
-from tom.bench.parts import model_flops, rollout_flops, sac_flops
-from tom.bench.timing import DISTANCES, EXAM
+from tom.bench.timing import DISTANCES, EXAM, model_flops, rollout_flops, sac_flops
 from tom.config import ModelConfig, OnlineConfig, SacConfig, TomConfig
 from tom.envs import ENVS, Task, task
 from tom.learners import SUBJECT

@@ -5,18 +5,21 @@ Target costs of the parts are ratios or shares in one run, or ms on the referenc
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from statistics import median
 from time import process_time
 
 import torch
 
+from tom.config import ModelConfig, SacConfig
 from tom.machine.matmul import Backend, use
+
+OBS, ACTION, BATCH = 11, 3, 256  # of Hopper
 
 TIMES_FLOOR = {"SAC update": 1.7}
 TIMES_OURS = {
     "plain torch.distributions MDN step": 1.7,
     "stable-baselines3 SAC update": 2.5,
-    "mbrl-lib SAC update": 2.5,
 }
 MILLISECONDS = {"weights, 1000 transitions": 4.0, "rollout, 1000 states": 3.0}
 """4 s for 1e6 transitions, 0.3 s for 100 000 states"""
@@ -71,26 +74,22 @@ def measure(parts: Sequence[Part], repeats: int, backend: Backend) -> tuple[list
             if repeat:  # the first repeat only warms up allocators and kernels
                 seconds[part.name].append((process_time() - start) / part.units)
     use(backend)
-    flops_per_s = 2 * 256**3 / median(seconds[product.name])
-    ours = {p.name: median(seconds[p.name]) for p in parts}
-    rows = [_timing(part, seconds[part.name], ours, flops_per_s) for part in parts]
+    middle = {name: median(took) for name, took in seconds.items()}
+    flops_per_s, rows = 2 * 256**3 / middle[product.name], []
+    for part in parts:
+        took, floor = middle[part.name], part.flops and part.flops / flops_per_s
+        rows.append(
+            Timing(
+                part=part.name,
+                ms=took * 1e3,
+                low_ms=min(seconds[part.name]) * 1e3,
+                high_ms=max(seconds[part.name]) * 1e3,
+                floor_ms=floor and floor * 1e3,
+                times_floor=floor and took / floor,
+                times_ours=took / middle[part.peer_of] if part.peer_of else None,
+            )
+        )
     return rows, flops_per_s / 1e9
-
-
-def _timing(
-    part: Part, seconds: list[float], medians: dict[str, float], flops_per_s: float
-) -> Timing:
-    middle = median(seconds)
-    floor = None if part.flops is None else part.flops / flops_per_s
-    return Timing(
-        part=part.name,
-        ms=middle * 1e3,
-        low_ms=min(seconds) * 1e3,
-        high_ms=max(seconds) * 1e3,
-        floor_ms=None if floor is None else floor * 1e3,
-        times_floor=None if floor is None else middle / floor,
-        times_ours=None if part.peer_of is None else middle / medians[part.peer_of],
-    )
 
 
 def target(row: Timing, beside_ms: Mapping[str, float]) -> tuple[str, bool] | None:
@@ -112,3 +111,46 @@ def target(row: Timing, beside_ms: Mapping[str, float]) -> tuple[str, bool] | No
         percent = 100 * row.ms / (row.ms + beside_ms[row.part])
         return f"<= {bound:.0f} % of {whole}, here {percent:.2g} %", percent <= bound
     return None
+
+
+# Matrix arithmetic
+
+
+def network_flops(sizes: list[int], rows: int) -> float:
+    """Multiply-adds of one forward pass, times two."""
+    return 2.0 * rows * sum(a * b for a, b in pairwise(sizes))
+
+
+def model_flops(config: ModelConfig, obs: int = OBS, action: int = ACTION) -> float:
+    """Matrix arithmetic of a step of the mixture density network's fit, or the ensemble's."""
+    per_dim, networks = {"mdn": (3 * config.components, 1), "ensemble": (2, config.members)}[
+        config.kind
+    ]
+    sizes = [obs + action, *[config.hidden] * config.layers, (1 + obs) * per_dim]
+    forward, first = network_flops(sizes, BATCH), network_flops(sizes[:2], BATCH)
+    return networks * (3 * forward - first)
+
+
+def sac_flops(config: SacConfig, obs: int = OBS, action: int = ACTION) -> float:
+    """Matrix arithmetic of a SAC update.
+
+    Critics: target forward, forward, and two backward products a layer but for the first layer's
+    input; actor: forward at s and s', backward, and the critics' forward and input gradient.
+    """
+    hidden = [config.hidden] * config.layers
+    critic = network_flops([obs + action, *hidden, 1], BATCH)
+    critic_first = network_flops([obs + action, config.hidden], BATCH)
+    actor = network_flops([obs, *hidden, 2 * action], BATCH)
+    actor_first = network_flops([obs, config.hidden], BATCH)
+    critics = 2 * (critic + critic + 2 * critic - critic_first)
+    return critics + 2 * actor + (2 * actor - actor_first) + 2 * (critic + critic)
+
+
+def rollout_flops(
+    model: ModelConfig, sac: SacConfig, obs: int = OBS, action: int = ACTION
+) -> float:
+    """Matrix arithmetic of one rollout step: the actor, then the mixture density network."""
+    outputs = (1 + obs) * 3 * model.components
+    return network_flops([obs, *[sac.hidden] * sac.layers, 2 * action], 1) + network_flops(
+        [obs + action, *[model.hidden] * model.layers, outputs], 1
+    )

@@ -89,10 +89,9 @@ def run(args: argparse.Namespace) -> int:
         episodes = made_anew(known, policy, FRESH, min(args.seeds), "fresh episodes")
         fresh = episodes.transitions.torch()
     work = Brush(data.transitions, torch.tensor(weights), torch.from_numpy(region), fresh)
-    name = f"{reader.run_id}-brushed"
+    name, seeds = f"{reader.run_id}-brushed", list(dict.fromkeys(args.seeds))
     weighing_files.check_free(args.out or store.new_weighing(name))
     begun, models = perf_counter(), list[BrushedFit]()
-    seeds = list(dict.fromkeys(args.seeds))
     total = len(dict.fromkeys((brush.AS_IT_IS, *args.factors))) * len(seeds)
     for one in brush.fits(work, config, args.factors, seeds):
         models.append(one)
@@ -108,8 +107,8 @@ def run(args: argparse.Namespace) -> int:
         "step": args.step,
         weighing_files.BRUSH: {
             "of": args.weighing or "own",
-            "model": config.model_dump(include={"kind", "hidden", "layers", "rounds"}),
             "fresh": 0 if fresh is None else len(fresh),
+            "model": config.model_dump(include={"kind", "hidden", "layers", "rounds"}),
         },
         "made": {
             "command": shlex.join(["tom", *sys.argv[1:]]),

@@ -48,7 +48,6 @@ def add_json(parser: argparse._ActionsContainer, text: str = "print JSON") -> No
 
 
 def add_accept_versions(parser: argparse._ActionsContainer) -> None:
-    """Add the option of all commands that resume runs."""
     parser.add_argument(
         "--accept-versions",
         action="store_true",
@@ -57,7 +56,6 @@ def add_accept_versions(parser: argparse._ActionsContainer) -> None:
 
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the commands that train one run."""
     group = parser.add_argument_group("where and how")
     add_store(group)
     add_accept_versions(group)

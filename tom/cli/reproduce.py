@@ -16,9 +16,9 @@ from pathlib import Path
 from matplotlib import rc_context
 from pydantic import ValidationError
 
+from tom.cli.output import show_rows
 from tom.cli.parser import add_json, folder, one_line, whole
-from tom.cli.progress import followed
-from tom.cli.tables import show_rows
+from tom.cli.train import followed
 from tom.config import SacRecordingConfig
 from tom.errors import DivergedError
 from tom.machine.processes import on_stopping

@@ -2,30 +2,51 @@
 
 import argparse
 import json
-import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from tom import readable
+from tom.cli.output import print_problems, show, summary
 from tom.cli.parser import add_json, add_store, folder, whole
-from tom.cli.tables import print_problems, show, summary
 from tom.config import flat
-from tom.errors import UserError, unknown
+from tom.errors import UserError
 from tom.harmless import terminal
 from tom.readable import score, short
 from tom.record import RunReader, Store, manage
 from tom.record.export import EXPORTERS, export, export_rows, export_small
 from tom.record.files import plain
-from tom.record.layout import WEIGHINGS
 from tom.record.thin import OPTIONAL, SERIES
 
 STATES = ("running", "finished", "stopped", "failed", "dead", "unknown")
 MB = 1e6
 LAST = -1
 """stands for the last step whose weights a run keeps"""
+
+Verb = Callable[[argparse.Namespace], int]
+Argument = tuple[str, dict[str, Any]]
+VERBS: dict[str, tuple[Verb, str, tuple[Argument, ...]]] = {}
+"""by name: its function, what it does, and its arguments"""
+
+
+def argument(name: str, **options: Any) -> Argument:
+    return name, options
+
+
+def verb(name: str, text: str, *arguments: Argument) -> Callable[[Verb], Verb]:
+    """The function is what `tom runs NAME` does."""
+
+    def add(run: Verb) -> Verb:
+        VERBS[name] = run, text, arguments
+        return run
+
+    return add
+
+
+RUN = argument("run_id", metavar="RUN")
+ANY = argument("run_ids", metavar="RUN", nargs="*")
+SOME = argument("run_ids", metavar="RUN", nargs="+")
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
@@ -36,85 +57,15 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     add_json(parser)
     parser.set_defaults(run=list_runs, env=None, learner=None, tag=None, state=None)
     verbs = parser.add_subparsers(title="what to do", metavar="VERB")
-
-    def verb(
-        name: str, run: Callable[[argparse.Namespace], int], text: str, runs: str | None = None
-    ) -> argparse.ArgumentParser:
-        """Add a verb; `runs` is "1" for one run, "*" or "+" for several."""
+    for name, (run, text, own) in VERBS.items():
         added = verbs.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         # Suppressed: the options may also stand before the verb.
         kept: dict[str, Any] = {"default": argparse.SUPPRESS}
         added.add_argument("--store", type=folder, help="run store (runs/)", **kept)
         added.add_argument("--json", action="store_true", help="print JSON", **kept)
-        if runs == "1":
-            added.add_argument("run_id", metavar="RUN")
-        elif runs:
-            added.add_argument("run_ids", metavar="RUN", nargs=runs)
+        for option, options in own:
+            added.add_argument(option, **options)
         added.set_defaults(run=run)
-        return added
-
-    listed = verb("list", list_runs, "list the runs, newest first")
-    listed.add_argument("--env", help="only this environment")
-    listed.add_argument("--learner", help="only this learner")
-    listed.add_argument("--tag", help="only runs with this tag")
-    listed.add_argument("--state", choices=STATES, help="only runs in this state")
-    verb("show", show_run, "everything known about a run", "1")
-    two = verb("diff", diff, "settings, versions and results in which two runs differ")
-    two.add_argument("first", metavar="RUN")
-    two.add_argument("second", metavar="RUN")
-    named = verb("rename", label, 'give a run a display name ("" takes it away)', "1")
-    named.add_argument("name", metavar="NAME")
-    tagged = verb("tag", label, "add tags to a run, or remove some", "1")
-    tagged.add_argument("add", metavar="TAG", nargs="*")
-    tagged.add_argument("--remove", metavar="TAG", nargs="+", default=[], help="take these away")
-    noted = verb("note", label, 'give a run a note ("" takes it away)', "1")
-    noted.add_argument("note", metavar="TEXT")
-    verb("trash", trash, "move runs into the store's .trash/, or list what is there", "*")
-    verb("restore", restore, "move runs back out of the trash", "+")
-    verb("verify", verify, "read every file of runs [all]; 1 if any is damaged", "*")
-    verb("repair", repair, "mend damaged runs; nothing is lost", "+")
-    exported = verb("export", export_runs, "write runs [all finished ones] in another format", "*")
-    exported.add_argument("--format", choices=tuple(EXPORTERS), help="[csv]")
-    exported.add_argument(
-        "--small", action="store_true", help="a small copy of the run folder, to show and share"
-    )
-    exported.add_argument(
-        "--keep", nargs="+", choices=tuple(OPTIONAL), default=[], metavar="PART",
-        help="what a small copy keeps whatever its size: " + ", ".join(OPTIONAL),
-    )  # fmt: skip
-    exported.add_argument(
-        "--without", nargs="+", choices=(*SERIES, *OPTIONAL), default=[], metavar="PART",
-        help=f"what a small copy leaves out: {', '.join(SERIES)}, of which it else has a few, "
-        + ", ".join(OPTIONAL),
-    )  # fmt: skip
-    exported.add_argument(
-        "--rows", type=whole(0), nargs="?", const=LAST, metavar="STEP",
-        help="the buffer's rows of the fit at STEP [the last kept]; a RUN may also be a weighing",
-    )  # fmt: skip
-    exported.add_argument("--out", type=Path, default=Path("exports"), help="folder [exports/]")
-    verb("index", index, "write the store's README.md: its small copies, and how each was made")
-    verb("size", size, "what runs [all] take on the disk, in MB", "*")
-    pruned = verb("prune", prune, "delete old checkpoints of runs [all finished ones]", "*")
-    pruned.add_argument(
-        "--keep", type=whole(0), default=1, help="checkpoints to keep of each run [1]"
-    )
-    pruned.add_argument("--dry-run", action="store_true", help="say what it would free")
-    imported = verb("import", import_runs, "make runs of what another tracker recorded, for Curves")
-    imported.add_argument(
-        "path", metavar="PATH", help="TensorBoard's event file or folder, or W&B's exported CSV"
-    )
-    imported.add_argument("--env", required=True, help="the task, such as Hopper-v5")
-    imported.add_argument("--name", default="", help="name of the run [the file's]")
-    imported.add_argument(
-        "--return",
-        dest="returned",
-        default="",
-        metavar="METRIC",
-        help="the metric that is the return [eval/mean_reward and the like]",
-    )
-    fetched = verb("fetch", fetch, "copy runs [all] from an object store into the store")
-    fetched.add_argument("url", metavar="s3://BUCKET/PREFIX", help="the --store of `tom sweep`")
-    fetched.add_argument("run_ids", metavar="RUN", nargs="*")
 
 
 def _output(args: argparse.Namespace, content: object, lines: Iterable[str]) -> int:
@@ -142,11 +93,18 @@ def _chosen(store: Store, run_ids: Sequence[str], *, finished: bool = False) -> 
 # What there is
 
 
+@verb(
+    "list",
+    "list the runs, newest first",
+    argument("--env", help="only this environment"),
+    argument("--learner", help="only this learner"),
+    argument("--tag", help="only runs with this tag"),
+    argument("--state", choices=STATES, help="only runs in this state"),
+)
 def list_runs(args: argparse.Namespace) -> int:
     store = Store(args.store)
     runs = _chosen(store, ())
     print_problems(store)
-    _check_filters(args, runs)
     shown = [
         run
         for run in runs
@@ -174,6 +132,19 @@ def list_runs(args: argparse.Namespace) -> int:
     return 0
 
 
+def _row(run: RunReader) -> dict[str, Any]:
+    return {
+        **summary(run),
+        "name": run.labels.name,
+        "tags": list(run.labels.tags),
+        "state": run.status.shown,
+        "problems": run.problems,
+        "small_copy": run.small_copy,
+        "left_out": list(run.left_out),
+    }
+
+
+@verb("show", "everything known about a run", RUN)
 def show_run(args: argparse.Namespace) -> int:
     run = Store(args.store).run(args.run_id)
     from tom.data.card import sentence
@@ -200,9 +171,22 @@ def show_run(args: argparse.Namespace) -> int:
     return 0
 
 
+@verb(
+    "diff",
+    "settings, versions and results in which two runs differ",
+    argument("first", metavar="RUN"),
+    argument("second", metavar="RUN"),
+)
 def diff(args: argparse.Namespace) -> int:
-    store = Store(args.store)
-    first, second = (_comparable(store.run(run_id)) for run_id in (args.first, args.second))
+    both = []
+    for run in (Store(args.store).run(run_id) for run_id in (args.first, args.second)):
+        if not run.given:
+            raise UserError(f"run '{run.run_id}' has no settings to compare")
+        parts = ("config", "versions", "git_commit", "machine")
+        results = ("state", "env_step", "last_return", "best_return")
+        own = {name: run.config.get(name) for name in parts}
+        both.append(flat(own) | {name: getattr(run.status, name) for name in results})
+    first, second = both
     names = [n for n in dict.fromkeys([*first, *second]) if first.get(n) != second.get(n)]
     if args.json:
         print(json.dumps({name: [first.get(name), second.get(name)] for name in names}))
@@ -210,41 +194,6 @@ def diff(args: argparse.Namespace) -> int:
         rows = [(name, _text(first.get(name)), _text(second.get(name))) for name in names]
         show(f"{len(rows)} differences", ("what", args.first, args.second), rows)
     return 0
-
-
-def _comparable(run: RunReader) -> dict[str, Any]:
-    """What two runs may differ in, by dotted name, without what is unique to every run."""
-    if not run.given:
-        raise UserError(f"run '{run.run_id}' has no settings to compare")
-    own = {name: run.config.get(name) for name in ("config", "versions", "git_commit", "machine")}
-    results = ("state", "env_step", "last_return", "best_return")
-    return flat(own) | {name: getattr(run.status, name) for name in results}
-
-
-def _check_filters(args: argparse.Namespace, runs: Sequence[RunReader]) -> None:
-    """Raises UserError for an environment or learner that is unknown and that no run has."""
-    for kind, name in (("env", args.env), ("learner", args.learner)):
-        recorded = dict.fromkeys(getattr(run, kind) for run in runs)
-        if name is None or name in recorded:
-            continue
-        from tom.envs import ENV_NAMES  # they take seconds to import
-        from tom.learners import LEARNERS
-
-        ours = ENV_NAMES if kind == "env" else tuple(LEARNERS)
-        if name not in ours:
-            raise unknown(kind, name, dict.fromkeys([*ours, *recorded]))
-
-
-def _row(run: RunReader) -> dict[str, Any]:
-    return {
-        **summary(run),
-        "name": run.labels.name,
-        "tags": list(run.labels.tags),
-        "state": run.status.shown,
-        "problems": run.problems,
-        "small_copy": run.small_copy,
-        "left_out": list(run.left_out),
-    }
 
 
 def _text(value: Any) -> str:
@@ -256,6 +205,20 @@ def _text(value: Any) -> str:
 # Labels and the trash
 
 
+@verb(
+    "rename",
+    'give a run a display name ("" takes it away)',
+    RUN,
+    argument("name", metavar="NAME"),
+)
+@verb(
+    "tag",
+    "add tags to a run, or remove some",
+    RUN,
+    argument("add", metavar="TAG", nargs="*"),
+    argument("--remove", metavar="TAG", nargs="+", default=[], help="take these away"),
+)
+@verb("note", 'give a run a note ("" takes it away)', RUN, argument("note", metavar="TEXT"))
 def label(args: argparse.Namespace) -> int:
     given = {n: getattr(args, n) for n in ("name", "note", "add", "remove") if hasattr(args, n)}
     labels = manage.label(Store(args.store), args.run_id, **given)
@@ -264,6 +227,7 @@ def label(args: argparse.Namespace) -> int:
     return _output(args, asdict(labels), [first, *labels.note.splitlines()])
 
 
+@verb("trash", "move runs into the store's .trash/, or list what is there", ANY)
 def trash(args: argparse.Namespace) -> int:
     store = Store(args.store)
     store.ensure_there()
@@ -274,6 +238,7 @@ def trash(args: argparse.Namespace) -> int:
     return _output(args, places, places)
 
 
+@verb("restore", "move runs back out of the trash", SOME)
 def restore(args: argparse.Namespace) -> int:
     places = [str(place) for place in manage.restore(Store(args.store), *args.run_ids)]
     return _output(args, places, places)
@@ -282,6 +247,7 @@ def restore(args: argparse.Namespace) -> int:
 # Files
 
 
+@verb("verify", "read every file of runs [all]; 1 if any is damaged", ANY)
 def verify(args: argparse.Namespace) -> int:
     from tom.record import integrity
 
@@ -294,6 +260,7 @@ def verify(args: argparse.Namespace) -> int:
     return 1 if bad or store.problems else 0
 
 
+@verb("repair", "mend damaged runs; nothing is lost", SOME)
 def repair(args: argparse.Namespace) -> int:
     from tom.record import integrity
 
@@ -305,6 +272,27 @@ def repair(args: argparse.Namespace) -> int:
     return _output(args, repairs, lines)
 
 
+@verb(
+    "export",
+    "write runs [all finished ones] in another format",
+    ANY,
+    argument("--format", choices=tuple(EXPORTERS), help="[csv]"),
+    argument("--small", action="store_true", help="a small copy of runs, to show and share"),
+    argument(
+        "--keep", nargs="+", choices=tuple(OPTIONAL), default=[], metavar="PART",
+        help="what a small copy keeps whatever its size: " + ", ".join(OPTIONAL),
+    ),
+    argument(
+        "--without", nargs="+", choices=(*SERIES, *OPTIONAL), default=[], metavar="PART",
+        help=f"what a small copy leaves out: {', '.join(SERIES)}, of which it else has a few, "
+        + ", ".join(OPTIONAL),
+    ),
+    argument(
+        "--rows", type=whole(0), nargs="?", const=LAST, metavar="STEP",
+        help="the buffer's rows of the fit at STEP [the last kept]; a RUN may also be a weighing",
+    ),
+    argument("--out", type=Path, default=Path("exports"), help="folder [exports/]"),
+)  # fmt: skip
 def export_runs(args: argparse.Namespace) -> int:
     if (args.keep or args.without) and not args.small:
         raise UserError("--keep and --without are about a small copy: add --small")
@@ -314,33 +302,31 @@ def export_runs(args: argparse.Namespace) -> int:
         raise UserError(f"{' and '.join(chosen)} are different exports: choose one")
     if both := sorted({*args.keep} & {*args.without}):
         raise UserError(f"--keep and --without both name {', '.join(both)}: choose one")
-    if args.rows is not None and args.run_ids:
-        exported = (_rows(name, args) for name in dict.fromkeys(args.run_ids))
-    else:
-        store = Store(args.store)
-        runs = _chosen(store, args.run_ids, finished=True)
-        print_problems(store)
-        if not runs:
-            raise UserError(f"{args.store}/ has no finished runs: name those to export")
-        exported = (path for run in runs for path in _exported(run, args))
-    with _all_or_none(args.out) as made:
-        for path in exported:
-            made.append(path)
-    paths = [str(path) for path in made]
+    paths = list(map(str, _exported(args)))
     return _output(args, paths, paths)
 
 
-def _exported(run: RunReader, args: argparse.Namespace) -> Iterator[Path]:
-    """Export a run; a small copy brings copies of the weighings of its buffer."""
-    if args.small:
-        from tom.reports.weighing_files import copy_small
+def _exported(args: argparse.Namespace) -> Iterator[Path]:
+    """Export what was asked for; a small copy brings copies of the weighings of its buffer."""
+    if args.rows is not None and args.run_ids:
+        for name in dict.fromkeys(args.run_ids):
+            yield _rows(name, args)
+        return
+    store = Store(args.store)
+    runs = _chosen(store, args.run_ids, finished=True)
+    print_problems(store)
+    if not runs:
+        raise UserError(f"{args.store}/ has no finished runs: name those to export")
+    for run in runs:
+        if args.small:
+            from tom.reports.weighing_files import copy_small
 
-        yield export_small(run, args.out, args.keep, args.without)
-        yield from copy_small(args.store, run.run_id, args.out)
-    elif args.rows is not None:
-        yield _rows(run.run_id, args)
-    else:
-        yield export(run, args.format or "csv", args.out)
+            yield export_small(run, args.out, args.keep, args.without)
+            yield from copy_small(args.store, run.run_id, args.out)
+        elif args.rows is not None:
+            yield _rows(run.run_id, args)
+        else:
+            yield export(run, args.format or "csv", args.out)
 
 
 def _rows(name: str, args: argparse.Namespace) -> Path:
@@ -356,22 +342,7 @@ def _rows(name: str, args: argparse.Namespace) -> Path:
     return export_rows(made.rows(), args.out / f"{Path(name).name}-rows.parquet")
 
 
-@contextmanager
-def _all_or_none(folder: Path) -> Iterator[list[Path]]:
-    """Collect the paths made in `folder`; after an error all of them are removed again."""
-    made: list[Path] = []
-    new = [place for place in (folder / WEIGHINGS, folder) if not place.exists()]
-    try:
-        yield made
-    except BaseException:
-        for path in made:
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-        for place in new:
-            with suppress(OSError):  # not empty, or never made
-                place.rmdir()
-        raise
-
-
+@verb("index", "write the store's README.md: its small copies, and how each was made")
 def index(args: argparse.Namespace) -> int:
     from tom.reports import index as page
     from tom.reports.weighing_files import of_run
@@ -387,6 +358,7 @@ def index(args: argparse.Namespace) -> int:
     return _output(args, str(path), [str(path)])
 
 
+@verb("size", "what runs [all] take on the disk, in MB", ANY)
 def size(args: argparse.Namespace) -> int:
     store = Store(args.store)
     parts = {run.run_id: manage.sizes(run) for run in _chosen(store, args.run_ids)}
@@ -404,6 +376,13 @@ def size(args: argparse.Namespace) -> int:
     return 0
 
 
+@verb(
+    "prune",
+    "delete old checkpoints of runs [all finished ones]",
+    ANY,
+    argument("--keep", type=whole(0), default=1, help="checkpoints to keep of each run [1]"),
+    argument("--dry-run", action="store_true", help="say what it would free"),
+)
 def prune(args: argparse.Namespace) -> int:
     store = Store(args.store)
     runs = _chosen(store, args.run_ids, finished=True)
@@ -415,6 +394,19 @@ def prune(args: argparse.Namespace) -> int:
     return _output(args, freed, [*lines, f"{would} {readable.size(sum(freed.values()))} in all"])
 
 
+@verb(
+    "import",
+    "make runs of what another tracker recorded, for Curves",
+    argument(
+        "path", metavar="PATH", help="TensorBoard's event file or folder, or W&B's exported CSV"
+    ),
+    argument("--env", required=True, help="the task, such as Hopper-v5"),
+    argument("--name", default="", help="name of the run [the file's]"),
+    argument(
+        "--return", dest="returned", default="", metavar="METRIC",
+        help="the metric that is the return [eval/mean_reward and the like]",
+    ),
+)  # fmt: skip
 def import_runs(args: argparse.Namespace) -> int:
     from tom.own_loop.imported import import_metrics  # tasks take a second to import
 
@@ -422,6 +414,12 @@ def import_runs(args: argparse.Namespace) -> int:
     return _output(args, made, made)
 
 
+@verb(
+    "fetch",
+    "copy runs [all] from an object store into the store",
+    argument("url", metavar="s3://BUCKET/PREFIX", help="the --store of `tom sweep`"),
+    ANY,
+)
 def fetch(args: argparse.Namespace) -> int:
     from tom.record.bucket.attempts import fetch_run, run_ids
     from tom.record.bucket.objects import Bucket

@@ -4,7 +4,6 @@ import argparse
 import json
 import os
 import shlex
-import shutil
 import signal
 import sys
 import time
@@ -18,9 +17,8 @@ from rich.table import Table
 from rich.text import Text
 
 from tom import readable
+from tom.cli.output import Display, print_problems, show_rows, summary
 from tom.cli.parser import add_accept_versions, add_json, add_training_options, overrides, whole
-from tom.cli.progress import Display
-from tom.cli.tables import print_problems, show_rows
 from tom.config import merged
 from tom.envs import ANY, ENV_NAMES, bring
 from tom.envs.termination import bring_rule
@@ -95,7 +93,6 @@ def _place(text: str) -> Path | str:
 
 def run(args: argparse.Namespace) -> int:
     planned = _planned(args)
-    _refuse_mismatch(args, planned)
     jobs = args.jobs or len(os.sched_getaffinity(0))
     with open_backend(args.store, planned) as backend:
         if args.dry_run:
@@ -115,7 +112,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _planned(args: argparse.Namespace) -> list[Trial]:
-    """The requested trainings; options on the command line override the file."""
+    """The requested trainings; options on the command line override the file.
+
+    Raises UserError for options that do not go together.
+    """
     content: dict[str, Any] = read_plan(args.file) if args.file else {}
     names = ("env", "learner", "seeds", "steps", "preset")
     content |= {name: getattr(args, name) for name in names if getattr(args, name) is not None}
@@ -131,23 +131,19 @@ def _planned(args: argparse.Namespace) -> list[Trial]:
     model = plan.settings.get("model", {})
     bring_rule(model.get("termination") if isinstance(model, dict) else None)
     planned = trials(plan)
-    if args.only is None:
-        return planned
-    if args.only >= len(planned):
-        raise UserError(f"--only {args.only}: this sweep has runs 0 to {len(planned) - 1}")
-    return [planned[args.only]]
-
-
-def _refuse_mismatch(args: argparse.Namespace, planned: Sequence[Trial]) -> None:
-    """Raises UserError for options that do not go together."""
     if args.address is not None and args.engine != "ray":
         raise UserError("--address is that of a Ray cluster: add --engine ray")
     if args.engine == "ray" and any(trial.config.device != "cpu" for trial in planned):
         raise UserError("--engine ray trains on CPUs, one run a core: leave out --device")
     if args.engine == "slurm" and isinstance(args.store, str):
         raise UserError(f"--engine slurm needs a folder: --store {args.store} is none")
-    if args.engine == "slurm" and args.only is not None:
+    if args.only is None:
+        return planned
+    if args.engine == "slurm":
         raise UserError("--only is given to each task of the array: leave it out")
+    if args.only >= len(planned):
+        raise UserError(f"--only {args.only}: this sweep has runs 0 to {len(planned) - 1}")
+    return [planned[args.only]]
 
 
 # A sweep that runs
@@ -169,18 +165,14 @@ def drive(args: argparse.Namespace, driver: Driver) -> int:
         finally:
             driver.stop()
         display.update()
-    return _report(args, driver, stream)
-
-
-def _report(args: argparse.Namespace, driver: Driver, stream: TextIO) -> int:
     if args.json:
-        print(json.dumps([_job_row(driver, job) for job in driver.jobs]))
-    states = [job.state for job in driver.jobs]
+        print(json.dumps([_row(driver, job) for job in driver.jobs]))
     for job in driver.jobs:
         if job.state == "failed":
             text = job.note.replace("\n", "\n    ")
             log = driver.backend.keep_log(job.log)
             print(f"{job.run_id} failed: {text}\n    log: {log}", file=sys.stderr)
+    states = [job.state for job in driver.jobs]
     done, failed = states.count("finished"), states.count("failed")
     print(f"{done} of {len(states)} runs finished, {failed} failed", file=stream)
     if done + failed < len(states):
@@ -190,19 +182,10 @@ def _report(args: argparse.Namespace, driver: Driver, stream: TextIO) -> int:
     return 0 if done == len(states) else 1
 
 
-def _job_row(driver: Driver, job: Job) -> dict[str, Any]:
-    status = driver.run_of(job).status
-    return {
-        "run_id": job.run_id,
-        "env": job.trial.env,
-        "learner": job.trial.learner,
-        "seed": job.trial.seed,
-        "state": job.state,
-        "env_step": status.env_step,
-        "last_return": status.last_return,
-        "best_return": status.best_return,
-        "note": job.note,
-    }
+def _row(driver: Driver, job: Job) -> dict[str, Any]:
+    run = summary(driver.run_of(job))
+    own = {"run_id": job.run_id, "env": job.trial.env, "learner": job.trial.learner}
+    return {**run, **own, "seed": job.trial.seed, "state": job.state, "note": job.note}
 
 
 class SweepDisplay(Display):
@@ -217,7 +200,6 @@ class SweepDisplay(Display):
         self._shown = -inf  # the first update is shown
 
     def update(self) -> None:
-        """Show the progress; may be called at any rate."""
         changed = [j for j in self._driver.jobs if self._states.get(j.trial.run_id) != j.state]
         self._states |= {job.trial.run_id: job.state for job in changed}
         if not self.live:
@@ -242,34 +224,28 @@ class SweepDisplay(Display):
         jobs = sorted(self._driver.jobs, key=lambda job: STATES.index(job.state))
         room = max(self.console.height - FRAME_LINES, 3)
         for job in jobs[:room]:
-            table.add_row(*(Text(terminal(cell)) for cell in self._cells(job)))
+            status = self._driver.run_of(job).status
+            alive = job.state in ("running", "elsewhere")
+            cells = (
+                job.run_id,
+                status.phase if job.state == "running" and status.phase else job.state,
+                str(status.env_step),
+                str(job.trial.config.total_steps),
+                readable.score(status.last_return),
+                readable.score(status.best_return),
+                readable.number(status.env_steps_per_s),
+                readable.duration(status.eta_s) if alive else "",
+                job.note.partition("\n")[0][:60],
+            )
+            table.add_row(*(Text(terminal(cell)) for cell in cells))
         more = f", {len(jobs) - room} more not shown" if len(jobs) > room else ""
         return Group(table, Text(self.line() + more))
-
-    def _cells(self, job: Job) -> tuple[str, ...]:
-        note = job.note.splitlines()[0][:60] if job.note else ""
-        if job.state == "waiting":
-            steps = str(job.trial.config.total_steps)
-            return (job.run_id, job.state, "", steps, "", "", "", "", note)
-        status = self._driver.run_of(job).status
-        return (
-            job.run_id,
-            status.phase if job.state == "running" and status.phase else job.state,
-            str(status.env_step),
-            str(status.total),
-            readable.score(status.last_return),
-            readable.score(status.best_return),
-            readable.number(status.env_steps_per_s),
-            readable.duration(status.eta_s) if job.state in ("running", "elsewhere") else "",
-            note,
-        )
 
 
 # A sweep that is only planned
 
 
 def _dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], jobs: int) -> int:
-    """Print the trainings that would run with their hours and gigabytes."""
     runs = store.runs()
     print_problems(store)
     rows, to_do = [], []
@@ -297,13 +273,8 @@ def _dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], j
         print(json.dumps({"runs": rows, "hours": hours, "megabytes": megabytes}))
         return 0
     show_rows(f"{len(rows)} runs, {len(to_do)} to do", rows)
-    if not to_do or any(row["hours"] is not None for row in to_do):
-        needs = f"about {hours:.1f} h with {jobs} at a time and {readable.size(1e6 * megabytes)}"
-        there = store.path.is_dir()
-        free = f" ({shutil.disk_usage(store.path).free / 1e9:.0f} GB are free)" if there else ""
-        print(needs + free)
-    unknown = sorted({f"{r['env']} {r['learner']}" for r in to_do if r["hours"] is None})
-    if unknown:
+    print(f"about {hours:.1f} h with {jobs} at a time and {readable.size(1e6 * megabytes)}")
+    if unknown := sorted({f"{r['env']} {r['learner']}" for r in to_do if r["hours"] is None}):
         print(
             f"without {', '.join(unknown)}: {args.store} has no finished run to judge them by "
             "(robots on a CPU are also judged by what `tom bench` last measured here)"
@@ -317,8 +288,7 @@ def _cost(trial: Trial, runs: Sequence[RunReader], run: RunReader | None) -> Cos
     from tom.bench.projection import bench_cost, last_bench
 
     at = None if run is None else checkpoint.newest(run.path / checkpoint.FOLDER)
-    expected = cost(trial, runs, at or 0)
-    if expected is not None:
+    if expected := cost(trial, runs, at or 0):
         return expected
     ms = last_bench()
     return None if ms is None else bench_cost(trial, ms, at or 0)

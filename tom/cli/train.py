@@ -3,16 +3,17 @@
 import argparse
 import json
 import os
+import shlex
 import sys
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TextIO
 
 from pydantic import ValidationError
 
+from tom.cli.output import ProgressReport, summary
 from tom.cli.parser import add_run_options, add_training_options, named, one_line, overrides, whole
-from tom.cli.progress import followed
 from tom.cli.sweep import drive
-from tom.cli.tables import summary
 from tom.data.card import sentence
 from tom.envs import ANY, ENV_NAMES
 from tom.errors import (
@@ -26,19 +27,18 @@ from tom.errors import (
 from tom.harmless import terminal
 from tom.learners import LEARNERS
 from tom.machine.memory import REFUSING, out_of_memory, ran_out
-from tom.readable import percent, score, size
+from tom.machine.processes import on_stopping
+from tom.readable import score
 from tom.record import RunReader, Store, checkpoint, manage
 from tom.record.files import size_of
-from tom.record.lock import BusyError
 from tom.record.task_record import card_of
-from tom.record.writer import TakenError
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
 from tom.training.plan import checked, is_done, steps_beyond, trials
 from tom.training.presets import resolve
 from tom.training.resume import resumable_config, resume, unfinished
-from tom.training.run import AnyConfig, train
+from tom.training.run import AnyConfig, RecordingOptions, Stop, train
 
 OWN_OPTIONS = ("env", "learner", "preset")
 
@@ -99,15 +99,10 @@ def begin(config: AnyConfig, args: argparse.Namespace) -> int:
     """
     if not args.resume:
         return record(config, args)
-    if args.run_id is not None:
-        return _begin_named(config, args)
-    if unfinished_run := unfinished(Store(args.store), config):
-        return resume_run(args, unfinished_run, config.steps)
-    return record(config, args)
-
-
-def _begin_named(config: AnyConfig, args: argparse.Namespace) -> int:
     store = Store(args.store)
+    if args.run_id is None:
+        begun = unfinished(store, config)
+        return resume_run(args, begun, config.steps) if begun else record(config, args)
     run = RunReader(store.resolve(args.run_id))
     there, beyond = run.path.is_dir(), steps_beyond(config, run)
     if there and beyond is None:
@@ -118,28 +113,13 @@ def _begin_named(config: AnyConfig, args: argparse.Namespace) -> int:
     try:
         if unfinished(store, config, run_id=run.run_id):
             return resume_run(args, run.run_id, config.steps + max(beyond or 0, 0))
-        if there:
-            _trash(store, run, hopeless=False)
     except StartAgainError as error:
         print(error, file=sys.stderr)
-        _trash(store, run, hopeless=True)
-    except UserError as error:
-        if there and not run.path.is_dir():
-            raise BusyError(f"run '{run.run_id}' was moved away by another process") from error
-        raise
-    try:
-        return record(config, args)
-    except TakenError as error:
-        raise BusyError(f"run '{run.run_id}' was just begun by another process") from error
-
-
-def _trash(store: Store, run: RunReader, hopeless: bool) -> None:
-    """Trash a run whose name is needed: `hopeless`, or without a checkpoint."""
-    with manage.unwritten(run), manage.refused(f"cannot trash run '{run.run_id}'"):
-        if not hopeless and checkpoint.load(run.path / checkpoint.FOLDER) is not None:
-            raise BusyError(f"run '{run.run_id}' was being written by another process: try again")
-        place = manage.into_trash(store, run.path)
-    print(f"{run.run_id}: began anew; what was there is in {place}", file=sys.stderr)
+    if there:
+        with manage.unwritten(run), manage.refused(f"cannot trash run '{run.run_id}'"):
+            place = manage.into_trash(store, run.path)
+        print(f"{run.run_id}: began anew; what was there is in {place}", file=sys.stderr)
+    return record(config, args)
 
 
 def _train_many(args: argparse.Namespace, settings: dict[str, Any]) -> int:
@@ -181,17 +161,31 @@ def resume_run(args: argparse.Namespace, run_id: str, steps: str | int | None) -
     )
 
 
+@contextmanager
+def followed(
+    config: AnyConfig, stream: TextIO, *, rerun: bool
+) -> Iterator[tuple[str, RecordingOptions]]:
+    """Progress of a training inside the block, which a signal stops cleanly.
+
+    Gives its label, and the options for `train` and `resume`.
+    """
+    label, stop = f"{config.env} {config.learner} seed {config.seed}", Stop()
+    with on_stopping(stop), ProgressReport(label, config.total_steps, stream) as progress:
+        command = shlex.join(["tom", *sys.argv[1:]])
+        watchers = (progress.consume,)
+        yield label, {"rerun": rerun, "watchers": watchers, "command": command, "stop": stop}
+
+
 def _watched(
     args: argparse.Namespace, config: AnyConfig, training: Callable[..., RunReader]
 ) -> int:
-    """Run `training` with progress on the terminal; a signal stops it cleanly."""
     stream = sys.stderr if args.json else sys.stdout
     with followed(config, stream, rerun=not args.no_rerun) as (label, options):
         try:
             done = training(**options)
         except KeyboardInterrupt:
             print(f"{label}: stopped at once, without a checkpoint", file=sys.stderr)
-            return 1
+            return FAILED
         except (DivergedError, OwnCodeError, OSError) as error:
             print(f"{label}: failed: {error}", file=sys.stderr)
             # An OSError is of its disk or of another writer: another attempt may succeed.
@@ -200,9 +194,9 @@ def _watched(
             if not ran_out(error):
                 raise
             print(f"{label}: failed: {out_of_memory(error)}", file=sys.stderr)
-            return 1
+            return FAILED
     _print_summary(done, args.json)
-    return 0 if done.status.state == "finished" else 1
+    return 0 if done.status.state == "finished" else FAILED
 
 
 def _new_steps(args: argparse.Namespace, settings: dict[str, Any]) -> str | None:
@@ -246,12 +240,5 @@ def _print_summary(run: RunReader, as_json: bool) -> None:
     )
     if card := card_of(run):
         print(sentence(card))
-    table = run.metrics()
-    spent, wall = table.get("time/checkpoint_s"), table.get("time/wall_s")
-    share = spent.max() / wall.max() if spent is not None and wall is not None else 0.0
-    print(
-        f"on disk: {size(row['bytes'])}, {size(row['checkpoint_bytes'])} of it "
-        f"checkpoints, which took {percent(share)} of the time"
-    )
     if run.status.state == "failed":
         print(f"failed: {terminal(run.status.reason)}", file=sys.stderr)

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from tom import readable
 from tom.analysis.weighing import POLICIES, Weighed, plan_weighing, setting_groups, settings_type
+from tom.cli.output import ProgressReport, show
 from tom.cli.parser import (
     add_config_options,
     add_json,
@@ -22,14 +23,12 @@ from tom.cli.parser import (
     overrides,
     whole,
 )
-from tom.cli.progress import CountReport
-from tom.cli.tables import show
 from tom.data.card import sentence
 from tom.data.datasets import FORMATS
 from tom.envs import ANY, ENVS
 from tom.learners import LEARNERS, WEIGHED_FIRST
 from tom.machine.matmul import choose_matmul
-from tom.record import Store, layout
+from tom.record import Store
 from tom.record.files import plain
 from tom.reports import weighing_files
 
@@ -105,12 +104,14 @@ def run(args: argparse.Namespace) -> int:
         )  # fmt: skip
     except ValidationError as error:
         raise one_line(error) from None
-    name = _folder_name(plan.data.name, args.policy, args.step)
+    data, by = plan.data.name, Path(args.policy).name.replace(":", ".")
+    at = "" if args.step is None else f"-at-{args.step}"
+    name = f"{data}-by-{by if by != data else 'its-own'}{at}"
     weighing_files.check_free(args.out or store.new_weighing(name))
     torch.set_num_threads(plan.config.threads)
     choose_matmul(plan.config.matmul)
     begun, weighed = perf_counter(), list[Weighed]()
-    with CountReport(f"the policy in {plan.known.name}", plan.steps, sys.stderr) as bar:
+    with ProgressReport(f"the policy in {plan.known.name}", plan.steps, sys.stderr) as bar:
         for one in plan.carry_out(bar.step):
             weighed.append(one)
             bar.print(f"{plan.data.name}: {one.learner} seed {one.seed}")
@@ -126,18 +127,6 @@ def run(args: argparse.Namespace) -> int:
     else:
         _print(report, out)
     return 0
-
-
-def _folder_name(data: str, policy: str, step: int | None) -> str:
-    """The name of the weighing's folder, without the date."""
-    path = Path(policy)
-    by = path.name.replace(":", ".")  # a run, and perhaps its step
-    if path.suffix == ".npz":
-        folder = path.absolute().parent
-        kept = folder.name == layout.POLICIES
-        by = f"{folder.parent.name}-{path.stem}" if kept else folder.name
-    at = "" if step is None else f"-at-{step}"
-    return f"{data}-by-{by if by != data else 'its-own'}{at}"
 
 
 def _print(report: dict[str, Any], out: Path) -> None:

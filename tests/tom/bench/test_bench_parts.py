@@ -1,15 +1,29 @@
 """What the benchmark counts; it times nothing here."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from common import online
 
-from tom.bench.parts import model_flops, network_flops, parts, rollout_flops, sac_flops
+from tom.bench.parts import parts
 from tom.bench.projection import beside_ms, between_fits_ms, hours, per_step_ms
-from tom.bench.timing import DISTANCES, EXAM, Timing, target
+from tom.bench.timing import (
+    DISTANCES,
+    EXAM,
+    Timing,
+    model_flops,
+    network_flops,
+    rollout_flops,
+    sac_flops,
+    target,
+)
+from tom.bench.training import checkpoint_cost, make_store
+from tom.cli import main
+from tom.cli.bench import BEGIN, END, put
 from tom.config import ModelConfig, SacConfig
 from tom.envs import ENV_NAMES, task
+from tom.record import Store, checkpoint
 
 MS = {part.name: 1.0 for part in parts()}
 BESIDE = {EXAM: 9950.0, DISTANCES: 990.0}  # ms
@@ -30,7 +44,7 @@ def test_the_arithmetic_of_an_update_is_what_is_published():
     ("row", "met"),
     [
         (timing("SAC update", floor=1.6), True),
-        (timing("mbrl-lib SAC update", ours=2.4), False),
+        (timing("stable-baselines3 SAC update", ours=2.4), False),
         (timing("rollout, 1000 states", ms=3.5), False),
         (timing(EXAM, ms=50.0), True),
         (timing(EXAM, ms=150.0), False),
@@ -77,3 +91,33 @@ def test_a_step_of_hopper_is_the_sum_of_its_parts():
     fit = 30 * 100 + 1000 + 100 + 125_000 / 2 / 1000 + 100
     expected = 5 + fit / 250 + 1
     assert per_step_ms(config, task("hopper"), MS) == pytest.approx(expected)
+
+
+def test_a_checkpoint_is_measured_with_full_buffers():
+    hopper = checkpoint_cost("hopper", train_s=10.0)
+    rows = 4 * 100_000 * (2 * 11 + 3 + 3) * 4 / 1e6  # the model buffer: four fits' rollouts
+    assert rows < hopper["megabytes"] < 1.5 * rows
+    assert hopper["megabytes_at_most"] == (checkpoint.KEPT + 1) * hopper["megabytes"]
+    expected = 100 * hopper["ms"] / 1e3 / (10.0 * 2000 / 250)
+    assert hopper["share_percent"] == pytest.approx(expected)
+
+
+def test_the_store_that_is_listed_is_one_of_real_runs(tmp_path: Path):
+    runs = Store(make_store(tmp_path, runs=3)).runs()
+    assert sorted(run.run_id for run in runs) == ["run-0000", "run-0001", "run-0002"]
+    assert {run.status.state for run in runs} == {"finished"}
+    assert all(len(run.metrics()) for run in runs)
+
+
+def test_the_tables_stand_between_their_marks_and_replace_the_last_ones(tmp_path: Path, capsys):
+    file = tmp_path / "page.md"
+    file.write_text("no marks\n")
+    for wrong in (file, tmp_path / "none"):
+        assert main(["bench", "--into", str(wrong)]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+    assert file.read_text() == "no marks\n"
+    file.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
+    for _ in range(2):
+        put(file, {"parts": [{"part": "SAC update", "ms": 3.7812, "met": None}]})
+    table = "parts:\n\n| part | ms | met |\n| --- | --- | --- |\n| SAC update | 3.781 | - |"
+    assert file.read_text() == f"before\n{BEGIN}\n{table}\n{END}\nafter\n"

@@ -8,7 +8,7 @@ import pytest
 from tom.cli import main
 
 TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun", "--steps", "250"]
-PARTS = ("buffer", "checkpoint", "episodes", "fields", "policies", "weights")
+PARTS = ("buffer", "checkpoint", "weights")
 
 pytestmark = pytest.mark.usefixtures("modes_count")
 

@@ -20,10 +20,6 @@ def test_a_machine_that_runs_the_tests_is_healthy(tmp_path: Path, capsys):
     code, found = examined(tmp_path / "new", capsys)
     assert code == 0
     assert {f["state"] for f in found.values()} <= {"ok", "note"}
-    assert set(found) == {
-        *("python", "packages", "cores", "memory", "gpu", "matmul", "scenes", "rerun", "ports"),
-        *("chromium", "disk", "store"),
-    }
     assert found["store"]["state"] == "note"
     assert not (tmp_path / "new").exists()
 
@@ -47,19 +43,6 @@ def test_a_package_of_another_version_is_named():
     assert doctor.unmet('no-such-package; extra == "bench"') is None
 
 
-def test_ports_that_cannot_be_opened_are_named_with_a_fix(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(doctor, "HOST", "203.0.113.1")  # an address that no machine has
-    found = doctor.check("ports", Path())
-    assert found.state == "bad"
-    assert "203.0.113.1" in found.text
-    assert found.fix
-
-
 def test_a_check_that_breaks_is_a_finding(monkeypatch: pytest.MonkeyPatch):
-    def broken(_: Path) -> doctor.Finding:
-        raise AssertionError
-
-    monkeypatch.setitem(doctor.CHECKS, "gpu", broken)
-    found = doctor.check("gpu", Path())
-    assert found.state == "bad"
-    assert found.text
+    monkeypatch.setitem(doctor.CHECKS, "gpu", lambda _: 1 / 0)
+    assert doctor.check("gpu", Path()).state == "bad"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tom.cli.progress import ProgressReport
+from tom.cli.output import ProgressReport
 from tom.cli.reproduce import record, run
 from tom.config import SacRecordingConfig
 from tom.events import Event, Tick

@@ -5,7 +5,6 @@ import os
 import signal
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -13,9 +12,7 @@ from tom.cli import main
 from tom.errors import TRY_LATER, UserError
 from tom.events import Event
 from tom.record import Store, checkpoint, lock, manage
-from tom.record.writer import RunWriter
 from tom.training.presets import resolve
-from tom.training.resume import unfinished
 from tom.training.run import train
 
 STEPS = 60
@@ -98,23 +95,3 @@ def test_a_named_run_whose_checkpoint_can_never_go_on_begins_anew(tmp_path: Path
     assert main(command(tmp_path)) == 0
     assert manage.trashed(Store(tmp_path)) == ["mine"]
     assert main(["train", "--resume", "mine", "--store", str(tmp_path / ".trash")]) == 2
-
-
-@pytest.mark.parametrize("there", [True, False])
-def test_another_process_that_is_a_moment_earlier_has_the_run(
-    there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    """It takes the run away, or begins it, after this one has looked."""
-    store = Store(tmp_path)
-    if there:
-        begun(tmp_path)
-
-    def overtaken(*given: Any, **options: Any) -> str | None:
-        if there:
-            manage.trash(store, "mine")
-        else:
-            RunWriter.create(store, "mine", CONFIG).close()
-        return unfinished(*given, **options)
-
-    monkeypatch.setattr("tom.cli.train.unfinished", overtaken)
-    assert main(command(tmp_path)) == TRY_LATER

@@ -157,13 +157,11 @@ def test_a_function_beside_a_run(data: str, tmp_path: Path, monkeypatch, capsys)
     ("words", "named"),
     [
         (["--policy", "POLICY"], "does not say which task it is of: add --env"),
-        (["--policy", "POLICY", "--env", "hoper"], "did you mean 'hopper'?"),
         (["--policy", "POLICY", "--env", "hopper"], "has 4 observations and 1 actions, hopper has"),
         (["--policy", "no.pt", "--env", ENV], "no policy at no.pt"),
         (["--policy", "DATA", "--env", ENV], "is no stored policy"),
         (["--policy", "absent_module:act", "--env", ENV], "no module 'absent_module'"),
         (["--policy", "POLICY", "--env", ENV, "--step", "9"], "is a step of a run"),
-        (["--policy", "POLICY", "--env", ENV, "--learner", "vagram"], "leave vagram out"),
     ],
 )
 def test_bad_input_is_one_line_and_nothing_is_made(

@@ -1,16 +1,28 @@
-"""What a training says of itself as it goes."""
+"""Tables and progress on standard output."""
 
 import io
 import re
 
-from tom.cli import progress
-from tom.cli.progress import ProgressReport
+import pytest
+
+from tom.cli import output
+from tom.cli.output import ProgressReport, show
 from tom.events import Tick
 
 
-def test_a_resumed_run_counts_only_its_own_steps(monkeypatch):
+def test_in_a_pipe_a_row_is_one_line(capsys: pytest.CaptureFixture[str]):
+    show("Title", ("name", "value"), [("half-tom-mended", "0.5"), ("x" * 300, "12")])
+    title, *table = capsys.readouterr().out.splitlines()
+    assert title == "Title"
+    assert len(table) == 3 + 2 + 1  # head with its rules, two rows, the last rule
+    assert "│ half-tom-mended" in table[3]
+    assert table[3].endswith("   0.5 │")
+    assert "x" * 300 in table[4]
+
+
+def test_a_resumed_run_counts_only_its_own_steps(monkeypatch: pytest.MonkeyPatch):
     now = 0.0
-    monkeypatch.setattr(progress, "monotonic", lambda: now)
+    monkeypatch.setattr(output, "monotonic", lambda: now)
     shown = io.StringIO()
     with ProgressReport("hopper", 40_000, shown) as report:
         for step in range(5_001, 5_101):
