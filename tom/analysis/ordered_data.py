@@ -82,12 +82,11 @@ def _of_dataset(name: str, env: str) -> OrderedData:
     rows, version, behaviour = recording.rows, recording.policy_version, recording.behaviour
     _check_dims(name, rows, known)
     _check_bounds(name, np.asarray(rows.action), known)
-    unit_obs = known.unit_obs if isinstance(known, GymnasiumTask) else np.asarray
     rows = replace(
         rows,
         action=to_unit_range(np.asarray(rows.action), known),
-        obs=unit_obs(np.asarray(rows.obs)),
-        next_obs=unit_obs(np.asarray(rows.next_obs)),
+        obs=known.unit_obs(np.asarray(rows.obs)),
+        next_obs=known.unit_obs(np.asarray(rows.next_obs)),
     ).torch()
     return OrderedData(
         name=Path(name).stem,
@@ -103,16 +102,13 @@ def _of_dataset(name: str, env: str) -> OrderedData:
 
 def of_task(card: Card, known: Task, rows: Transitions) -> Card:
     """The card beside what the task says of itself; its `rows` are as agents see them."""
-    seen = card.obs
-    if isinstance(known, GymnasiumTask):
-        offset, scale = np.array(known.obs_offset), np.array(known.obs_scale)
-        seen = seen.moved(-offset / scale, 1 / scale)
+    offset, scale = known.obs_units
     card = replace(
         card,
         task=known.name,
         limit=known.max_episode_steps,
         bounds=action_bounds(known),
-        seen=seen,
+        seen=card.obs.moved(-offset / scale, 1 / scale),
         others=known.notices,
     )
     if not known.knows_ends:
@@ -124,10 +120,13 @@ def card_of_run(rows: Transitions, known: Task) -> Card:
     """The card of rows that a run collected, in the task's own units."""
     low, high = (bound.astype(np.float64) for bound in action_bounds(known))
     card = take(rows)
-    card = replace(card, action=card.action.moved((high + low) / 2, (high - low) / 2))
-    if isinstance(known, GymnasiumTask):
-        units = np.array(known.obs_offset), np.array(known.obs_scale)
-        card = replace(card, obs=card.obs.moved(*units), starts=card.starts.moved(*units))
+    units = known.obs_units
+    card = replace(
+        card,
+        action=card.action.moved((high + low) / 2, (high - low) / 2),
+        obs=card.obs.moved(*units),
+        starts=card.starts.moved(*units),
+    )
     return of_task(card, known, rows)
 
 

@@ -21,7 +21,7 @@ from tom.data.card import PolicyFacts
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.base import DynamicsModel
-from tom.envs import GymnasiumTask, Task, task
+from tom.envs import Task, task
 from tom.errors import UserError, unknown
 from tom.exams.diagnostics import errors_of_rows
 from tom.exams.energy import footprint_match, step_scaling
@@ -86,9 +86,7 @@ def load_policy(name: str, store: Store, known: Task, step: int | None = None) -
     if run is None and step is not None:
         raise UserError(f"--step {step} is a step of a run, and policy {name} is none: name a run")
     if is_foreign(name):
-        # A task may scale its observations by their bounds.
-        own_obs = known.own_obs if isinstance(known, GymnasiumTask) else np.asarray
-        return foreign_policy(name, known.obs_dim, action_bounds(known), own_obs)
+        return foreign_policy(name, known.obs_dim, action_bounds(known), known.own_obs)
     policy = read_policy(Path(name)) if run is None else _policy_of(run, step)
     dims = policy.obs_dim, policy.action_dim
     if dims != (known.obs_dim, known.action_dim):

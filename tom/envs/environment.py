@@ -15,7 +15,6 @@ from gymnasium.wrappers import OrderEnforcing, RescaleAction, TimeLimit
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tom.envs import dm_control
 from tom.envs.user_code import running
 from tom.errors import OwnCodeError, StartAgainError
 
@@ -39,9 +38,12 @@ def simulated(env: gym.Env) -> Simulator | None:
     inner = env.unwrapped
     if isinstance(inner, MujocoEnv):
         return Simulator(inner.model, inner.data, float(inner.dt))
-    physics = dm_control.simulation(inner)
-    if physics is None:
+    if not type(inner).__module__.startswith("shimmy.dm_control"):
         return None
+    wrapped: Any = inner
+    if wrapped.env_type.name != "RL_CONTROL":  # composed tasks compile a model for every episode
+        return None
+    physics = wrapped.physics
     return Simulator(physics.model.ptr, physics.data.ptr, float(env.get_wrapper_attr("dt")))
 
 

@@ -4,20 +4,23 @@ The module before the colon registers the task when it is imported, as in `gymna
 code that the user chose: only `describe` imports it, never a reader of runs.
 """
 
-from collections.abc import Sequence
+import os
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from importlib.metadata import version
+from itertools import chain
+from math import prod
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import torch
-from gymnasium.spaces import Box
-from gymnasium.wrappers import TimeLimit
+from gymnasium.spaces import Box, Dict
+from gymnasium.wrappers import FlattenObservation, TimeLimit
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tom.envs import dm_control, termination
+from tom.envs import termination
 from tom.envs.environment import Simulator, Unit, simulated
 from tom.envs.mujoco import log_warnings
 from tom.envs.task import Task, Termination
@@ -26,6 +29,8 @@ from tom.errors import OF_USERS, UserError, reason
 
 OWN = "gymnasium"
 """the module of Gymnasium's own tasks, which is always imported"""
+DM_CONTROL = "dm_control/"
+"""begins the ids of DeepMind Control's tasks by shimmy, whose observations are named arrays"""
 STEPS = 100_000
 """default number of env steps in an unknown task"""
 TIME_LIMIT = 1000
@@ -72,8 +77,7 @@ class GymnasiumTask(Task):
         if env.spec is None or env.spec.max_episode_steps is None:
             env = TimeLimit(env, self.max_episode_steps)
         action = np.array(self.action_low), np.array(self.action_high)
-        obs = np.array(self.obs_offset), np.array(self.obs_scale)
-        unit = Unit(env, action, obs, self.name)
+        unit = Unit(env, action, self.obs_units, self.name)
         if seed is not None:
             unit.reset(seed=seed)
         return unit
@@ -84,14 +88,17 @@ class GymnasiumTask(Task):
         names += ("rewards",)
         return {name: getattr(self, name) for name in names}
 
+    @property
+    def obs_units(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return np.array(self.obs_offset), np.array(self.obs_scale)
+
     def own_obs(self, obs: NDArray) -> NDArray[np.float64]:
-        """Observations (..., O) in the task's own units."""
-        return np.asarray(obs, np.float64) * np.array(self.obs_scale) + np.array(self.obs_offset)
+        offset, scale = self.obs_units
+        return np.asarray(obs, np.float64) * scale + offset
 
     def unit_obs(self, obs: NDArray) -> NDArray[np.float32]:
-        """Observations (..., O) in the task's own units, rescaled as agents see them."""
-        centred = np.asarray(obs, np.float64) - np.array(self.obs_offset)
-        return (centred / np.array(self.obs_scale)).astype(np.float32)
+        offset, scale = self.obs_units
+        return ((np.asarray(obs, np.float64) - offset) / scale).astype(np.float32)
 
     def own_units(self, obs: Tensor) -> Tensor:
         return obs * torch.tensor(self.obs_scale).to(obs) + torch.tensor(self.obs_offset).to(obs)
@@ -105,8 +112,8 @@ def describe(name: str) -> GymnasiumTask:
     module, _, gym_id = name.partition(":")
     if not gym_id or ":" in gym_id:
         raise UserError(f"task '{name}': write MODULE:ID, such as gymnasium:Swimmer-v5")
-    if dm_control.is_one(gym_id):
-        dm_control.without_screen()
+    if gym_id.startswith(DM_CONTROL):  # it looks for a screen at its import, and warns without one
+        os.environ.setdefault("MUJOCO_GL", "disable")
     if module != OWN:
         import_named(module, f"--env {name}")
     return inspected(name, gym_id)
@@ -127,28 +134,58 @@ def inspected(name: str, gym_id: str, terminated: Termination | None = None) -> 
 
 
 def _made(gym_id: str, name: str) -> gym.Env:
+    """The environment; named arrays are concatenated in the order of their names."""
     log_warnings()
     try:
         made = gym.make(gym_id, disable_env_checker=True)
     except OF_USERS as error:  # Gymnasium's errors as well
-        advice = dm_control.advice(error) if dm_control.is_one(gym_id) else ""
+        advice, of_dm = "", gym_id.startswith(DM_CONTROL)
+        if of_dm and isinstance(error, gym.error.NamespaceNotFound):
+            advice = "; pip install 'shimmy[dm-control]' and write shimmy:dm_control/..."
+        elif of_dm and isinstance(error, AttributeError):  # it reads what MuJoCo no longer has
+            advice = f"; dm_control does not know MuJoCo {version('mujoco')}: see docs/tasks.md"
         raise UserError(f"task '{name}' cannot be made: {reason(error)}{advice}") from error
-    return dm_control.flat(made) if dm_control.is_one(gym_id) else made
+    return FlattenObservation(made) if _named_arrays(made, gym_id) else made
+
+
+def _named_arrays(env: gym.Env, gym_id: str) -> dict[str, tuple[int, ...]]:
+    """The names and shapes of dm_control's observation; none if one of them is a picture."""
+    space = env.unwrapped.observation_space
+    if not gym_id.startswith(DM_CONTROL) or not isinstance(space, Dict):
+        return {}
+    arrays = {str(name): of.shape for name, of in space.items() if isinstance(of, Box)}
+    flat = len(arrays) == len(space) and all(len(shape) < 3 for shape in arrays.values())
+    return arrays if flat else {}
 
 
 def _described(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
     obs, action = _box(env.observation_space, name), _box(env.action_space, name)
-    _check_actions(env.action_space, action, name)
+    if not _bounded(action).all():
+        wrong = int(np.flatnonzero(~_bounded(action))[0])
+        raise UserError(
+            f"task '{name}' has actions without bounds that can be used: those of dimension "
+            f"{wrong} are {action.low[wrong]:g} and {action.high[wrong]:g}: give its Box two "
+            f"different ones within {UNBOUNDED:g}"
+        )
+    if not np.issubdtype(env.action_space.dtype, np.floating):
+        raise UserError(
+            f"task '{name}' acts in whole numbers ({env.action_space.dtype}), and only continuous "
+            "actions can be used here: give its Box a floating type, and round in step"
+        )
     bounded = _bounded(obs)
     simulator = simulated(env)
     root_dims = _root_dims(env, simulator, obs, action, name)
     seen_as_they_are = root_dims if not bounded.any() else None  # joints, in their own units
     tries = [_short_episode(env, action, seed) for seed in (0, 0, 1)]
     repeats = all(map(np.array_equal, tries[0], tries[1]))
-    offset, scale, changed = _units(obs, _seen(env, obs, tries))
-    if seen_as_they_are is not None:
-        offset, scale, changed = np.zeros(obs.shape), np.ones(obs.shape), np.zeros(obs.shape, bool)
+    offset, scale, changed = np.zeros(obs.shape), np.ones(obs.shape), np.zeros(obs.shape, bool)
+    if seen_as_they_are is None:
+        starts = [_short_episode(env, action, seed, steps=0) for seed in range(2, 10)]
+        rows = [row for seen, _ in (*tries, *starts) for row in seen]
+        usable = [row for row in rows if row.shape == obs.shape and np.isfinite(row).all()]
+        offset, scale, changed = _units(obs, np.array(usable))
     limit = None if env.spec is None else env.spec.max_episode_steps
+    fps = env.metadata.get("render_fps")
     return GymnasiumTask(
         name=name,
         gym_id=gym_id,
@@ -156,8 +193,7 @@ def _described(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
         knows_ends=False,
         steps=STEPS,
         action_dim=len(action.low),
-        obs_names=(dm_control.obs_names(env) if dm_control.is_one(gym_id) else None)
-        or _obs_names(len(obs.low), simulator, root_dims),
+        obs_names=_obs_names(len(obs.low), simulator, root_dims, _named_arrays(env, gym_id)),
         max_episode_steps=limit or TIME_LIMIT,
         nq=0 if simulator is None else int(simulator.model.nq),
         root_dims=seen_as_they_are,
@@ -166,21 +202,23 @@ def _described(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
         action_high=tuple(action.high.tolist()),
         obs_offset=tuple(offset.tolist()),
         obs_scale=tuple(scale.tolist()),
-        dt=_seconds(env),
+        dt=float(env.get_wrapper_attr("dt")) if env.has_wrapper_attr("dt") else 1 / (fps or 30),
         rewards=tuple(tries[0][1][:REWARDS].tolist()) if repeats else (),
         notices=_notices(name, changed, repeats),
     )
 
 
-def _short_episode(env: gym.Env, action: Box, seed: int) -> tuple[NDArray, NDArray]:
-    """Observations (n, O) and rewards (n,) of up to `PLAYED` random steps.
+def _short_episode(
+    env: gym.Env, action: Box, seed: int, steps: int = PLAYED
+) -> tuple[NDArray, NDArray]:
+    """Observations (n, O) and rewards (n,) of so many random steps at most.
 
     They end where the task fails: a training says why.
     """
     rng, seen, rewards = np.random.default_rng(seed), [], []
     with suppress(*OF_USERS):
         seen.append(np.array(env.reset(seed=seed)[0], np.float64))
-        for _ in range(PLAYED):
+        for _ in range(steps):
             taken = rng.uniform(action.low, action.high).astype(env.action_space.dtype)
             obs, reward, terminated, truncated, _ = env.step(taken)
             seen.append(np.array(obs, np.float64))
@@ -189,14 +227,6 @@ def _short_episode(env: gym.Env, action: Box, seed: int) -> tuple[NDArray, NDArr
                 break
     same = [row for row in seen if row.shape == seen[0].shape]
     return np.array(same), np.array(rewards)
-
-
-def _seen(env: gym.Env, obs: Box, tries: Sequence[tuple[NDArray, NDArray]]) -> NDArray:
-    """The finite observations (n, O) of the episodes, and some more of their first ones."""
-    rows = [row for seen, _ in tries for row in seen]
-    with suppress(*OF_USERS):
-        rows += [np.array(env.reset(seed=seed)[0], np.float64) for seed in range(2, 10)]
-    return np.array([row for row in rows if row.shape == obs.shape and np.isfinite(row).all()])
 
 
 def _units(obs: Box, seen: NDArray) -> tuple[NDArray, NDArray, NDArray[np.bool_]]:
@@ -258,22 +288,6 @@ def _bounded(box: Box) -> NDArray[np.bool_]:
     return known & (box.high > box.low)
 
 
-def _check_actions(space: gym.Space, action: Box, name: str) -> None:
-    """Raises UserError unless actions are continuous, with bounds that can be used."""
-    if not _bounded(action).all():
-        wrong = int(np.flatnonzero(~_bounded(action))[0])
-        raise UserError(
-            f"task '{name}' has actions without bounds that can be used: those of dimension "
-            f"{wrong} are {action.low[wrong]:g} and {action.high[wrong]:g}: give its Box two "
-            f"different ones within {UNBOUNDED:g}"
-        )
-    if not np.issubdtype(space.dtype, np.floating):
-        raise UserError(
-            f"task '{name}' acts in whole numbers ({space.dtype}), and only continuous actions can "
-            "be used here: give its Box a floating type, and round in step"
-        )
-
-
 def _root_dims(
     env: gym.Env, simulator: Simulator | None, obs: Box, action: Box, name: str
 ) -> int | None:
@@ -302,18 +316,17 @@ def _root_dims(
     return left_out if same else None
 
 
-def _obs_names(dim: int, simulator: Simulator | None, root_dims: int | None) -> tuple[str, ...]:
-    """Joints and their velocities, if an observation is those of hinges and slides alone."""
+def _obs_names(
+    dim: int, simulator: Simulator | None, root_dims: int | None, arrays: dict[str, tuple[int, ...]]
+) -> tuple[str, ...]:
+    """Named arrays, or joints and their velocities if these are hinges and slides alone."""
+    if arrays:
+        sizes = [(name.replace("_", " "), prod(shape)) for name, shape in arrays.items()]
+        each = [[name] if n == 1 else [f"{name} {i + 1}" for i in range(n)] for name, n in sizes]
+        return tuple(chain(*each))
     if simulator is not None and root_dims is not None:
         model = simulator.model
         if model.nq == model.nv == model.njnt:
             joints = [model.joint(i).name or f"joint {i + 1}" for i in range(model.njnt)]
             return (*joints[root_dims:], *(f"{joint} velocity" for joint in joints))
     return tuple(f"observation {i + 1}" for i in range(dim))
-
-
-def _seconds(env: gym.Env) -> float:
-    """The duration of a step: the task's `dt`, else that of a frame of its renderer."""
-    if env.has_wrapper_attr("dt"):
-        return float(env.get_wrapper_attr("dt"))
-    return 1 / float(env.metadata.get("render_fps") or 30)

@@ -35,7 +35,6 @@ class MujocoTask(Task):
     action_high: ClassVar[float] = 1.0
 
     def make(self, seed: int | None = None) -> gym.Env[np.ndarray, np.ndarray]:
-        """The environment, with actions in [-1, 1]; its random streams follow `seed`, if given."""
         log_warnings()
         env = gym.make(
             self.gym_id,

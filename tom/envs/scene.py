@@ -57,8 +57,6 @@ class Shape:
 
 @dataclass(frozen=True)
 class Geometry:
-    """All shapes in H frames."""
-
     capsules: Shape
     ellipsoids: Shape
     cylinders: Shape
@@ -68,7 +66,6 @@ class Geometry:
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
-        """The shapes of every kind."""
         return self.capsules, self.ellipsoids, self.cylinders, self.boxes
 
     @property
@@ -120,6 +117,7 @@ def geometry(mj: MjModel, qpos: NDArray) -> Geometry:
         body[i], root[i] = data.xquat, data.xpos[min(1, mj.nbody - 1)]
     quaternion = _product(body[:, mj.geom_bodyid], mj.geom_quat)[..., [1, 2, 3, 0]]
     axis = matrix[..., 2::3]
+    sphere, planes = mj.geom_type[:, None] == SPHERE, np.flatnonzero(mj.geom_type == PLANE)
 
     def shape(kinds: tuple[int, ...], size: NDArray) -> Shape:
         chosen = np.flatnonzero(np.isin(mj.geom_type, kinds) & (mj.geom_rgba[:, 3] > 0))
@@ -133,22 +131,12 @@ def geometry(mj: MjModel, qpos: NDArray) -> Geometry:
 
     return Geometry(
         shape((CAPSULE,), mj.geom_size[:, :2]),
-        shape((SPHERE, ELLIPSOID), _half_sizes(mj)),
+        shape((SPHERE, ELLIPSOID), np.where(sphere, mj.geom_size[:, :1], mj.geom_size)),
         shape((CYLINDER,), mj.geom_size[:, :2]),
         shape((BOX,), mj.geom_size),
         root,
-        _floor(mj),
+        float(mj.geom_pos[planes[0], 2]) if len(planes) else None,
     )
-
-
-def _half_sizes(mj: MjModel) -> NDArray[np.float64]:
-    sphere = mj.geom_type[:, None] == SPHERE
-    return np.where(sphere, mj.geom_size[:, :1], mj.geom_size)
-
-
-def _floor(mj: MjModel) -> float | None:
-    planes = np.flatnonzero(mj.geom_type == PLANE)
-    return float(mj.geom_pos[planes[0], 2]) if len(planes) else None
 
 
 def _product(a: NDArray, b: NDArray) -> NDArray:

@@ -6,6 +6,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 Termination = Callable[[Tensor], Tensor]
@@ -50,9 +51,22 @@ class Task:
         """The description for a run's `config.json`; None for a task of ours."""
         return None
 
-    def own_units(self, obs: Tensor) -> Tensor:
+    @property
+    def obs_units(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Offset and scale (O,) of an observation in the task's own units."""
+        return np.zeros(self.obs_dim), np.ones(self.obs_dim)
+
+    def own_obs(self, obs: NDArray) -> NDArray:
         """Observations (..., O) as agents see them, in the task's own units."""
+        return np.asarray(obs)
+
+    def own_units(self, obs: Tensor) -> Tensor:
+        """The same for a tensor."""
         return obs
+
+    def unit_obs(self, obs: NDArray) -> NDArray[np.float32]:
+        """Observations (..., O) in the task's own units, rescaled as agents see them."""
+        return np.asarray(obs, np.float32)
 
     def qpos_from_obs(self, obs: np.ndarray) -> np.ndarray:
         """Joint positions (..., nq) of observations (..., O), with the root at the origin."""

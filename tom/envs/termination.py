@@ -16,7 +16,6 @@ from tom.errors import OwnCodeError, UserError, unknown
 
 
 def never(next_obs: Tensor) -> Tensor:
-    """Never ends."""
     return next_obs.new_zeros(len(next_obs)).bool()
 
 

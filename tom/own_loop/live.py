@@ -26,7 +26,7 @@ from tom.data.datasets import initial_obs
 from tom.data.transitions import Transitions
 from tom.data.unpack import read_arrays
 from tom.envs import bring
-from tom.errors import OwnCodeError, TryLaterError, UserError, reason, unknown
+from tom.errors import TryLaterError, UserError, reason, unknown
 from tom.events import Event, Metrics, Notice, Tick
 from tom.exams.diagnostics import ending_metrics, weight_metrics
 from tom.exams.exam import Exam, Fitted, footprint_metrics
@@ -97,15 +97,12 @@ class _Live:
     """One learner's weights of the run `source`: its record, and what it keeps between fits."""
 
     def __init__(self, source: RunReader, learner: str, every: int, began_at: int) -> None:
-        usual = presets.resolve(source.env, learner)
-        groups = {
-            name: value
-            for name, value in usual.model_dump().items()
-            if name in with_own_settings(OwnLoopConfig, [learner]).model_fields
-        }
-        settings: dict[str, Any] = {"seed": source.seed, "preset": LIVE, "every": every}
+        own = with_own_settings(OwnLoopConfig, [learner])
+        usual = presets.resolve(source.env, learner).model_dump()
+        settings = {name: value for name, value in usual.items() if name in own.model_fields}
+        settings |= {"seed": source.seed, "preset": LIVE, "every": every}
         settings |= {"steps": source.config["config"]["steps"]}
-        self.config = with_own_settings(OwnLoopConfig, [learner]).model_validate(groups | settings)
+        self.config = own.model_validate(settings)
         until, place = time.monotonic() + WAIT_S, Store(source.path / layout.LIVE)
         while True:  # the process of a loop that was killed may still weigh its last buffer
             try:
@@ -205,10 +202,8 @@ def main(run: str, began_at: str, every: str, *learners: str) -> int:
         bring(source.env)
         with on_stopping(signal.default_int_handler):
             follow(source, learners, int(every), int(began_at))
-    except (UserError, OwnCodeError, TryLaterError, OSError) as error:
+    except (UserError, OSError, KeyboardInterrupt) as error:
         print(reason(error), file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
         return 1
     return 0
 

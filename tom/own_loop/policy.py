@@ -6,7 +6,7 @@ form learns its answers.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn.functional import relu
 
 from tom.analysis.ordered_data import action_bounds
-from tom.envs import GymnasiumTask, Task
+from tom.envs import Task
 from tom.errors import UserError
 from tom.nn.mlp import StackedMLP
 from tom.policy.foreign import ForeignPolicy
@@ -33,21 +33,14 @@ Layers = list[tuple[NDArray[np.float64], NDArray[np.float64]]]
 """weight (in, out) and bias (out,) of each layer, ReLU between them"""
 
 
-class Copy(NamedTuple):
-    """The stored arrays, and how far a learnt copy is from the policy's answers (None: exact)."""
-
-    arrays: dict[str, NDArray]
-    error: float | None
+Copy = tuple[dict[str, NDArray], float | None]
+"""the stored arrays, and how far a learnt copy is from the policy's answers (None: exact)"""
 
 
 class PolicyCopier:
-    """Makes stored copies of one training's policies."""
-
     def __init__(self, known: Task) -> None:
         self._known = known
-        unit = isinstance(known, GymnasiumTask)
-        self._scale = np.array(known.obs_scale) if unit else np.ones(known.obs_dim)
-        self._offset = np.array(known.obs_offset) if unit else np.zeros(known.obs_dim)
+        self._offset, self._scale = known.obs_units
         self._net: StackedMLP | None = None
 
     def copy(self, policy: Any, obs: NDArray) -> Copy:
@@ -60,28 +53,26 @@ class PolicyCopier:
         if exact is None:
             return self._learnt(policy, obs)
         actor, critics, centre, spread = exact
+        dims = actor[0][0].shape[0], actor[-1][0].shape[1] // 2
+        if dims != (self._known.obs_dim, self._known.action_dim):
+            raise UserError(
+                f"policy: its network maps {dims[0]} numbers to {dims[1]} actions, and "
+                f"{self._known.name} has {self._known.obs_dim} and {self._known.action_dim}"
+            )
         scale, offset = self._scale / spread, (self._offset - centre) / spread
         arrays = _arrays(self._known, _moved(actor, scale, offset))
-        self._check(actor[0][0].shape[0], actor[-1][0].shape[1])
         if len(critics) >= 2:
             twins = [_moved(critic, scale, offset) for critic in critics[:2]]
             for k, pair in enumerate(zip(*twins, strict=True)):
                 for part, values in zip(("weight", "bias"), zip(*pair, strict=True), strict=True):
                     arrays[f"{CRITIC}{part}_{k}"] = np.stack(values).astype(np.float32)
-        return Copy(arrays, None)
-
-    def _check(self, obs_dim: int, outputs: int) -> None:
-        if (obs_dim, outputs) != (self._known.obs_dim, 2 * self._known.action_dim):
-            raise UserError(
-                f"policy: its network maps {obs_dim} numbers to {outputs // 2} actions, and "
-                f"{self._known.name} has {self._known.obs_dim} and {self._known.action_dim}"
-            )
+        return arrays, None
 
     def _learnt(self, policy: Any, obs: NDArray) -> Copy:
         """A network that has learnt the policy's mean and spread before the tanh."""
         if not len(obs):
             raise UserError("policy: hand in some transitions first, to ask it about")
-        ask = _asked(policy, lambda x: self._offset + x * self._scale)
+        ask = _asked(policy, self._known.own_obs)
         foreign = ForeignPolicy(
             "of run.policy", ask, self._known.obs_dim, action_bounds(self._known)
         )
@@ -111,7 +102,7 @@ class PolicyCopier:
         layers = [(_numbers(w[0]), _numbers(b[0, 0])) for w, b in self._net.layers]
         scale, offset = 1 / _numbers(spread), -_numbers(centre / spread)
         arrays = _arrays(self._known, _moved(layers, scale, offset))
-        return Copy(arrays, float(off.square().mean().sqrt()))
+        return arrays, float(off.square().mean().sqrt())
 
 
 def _arrays(known: Task, actor: Layers) -> dict[str, NDArray]:
@@ -144,43 +135,34 @@ def _asked(policy: Any, own_units: Callable[[NDArray], NDArray]) -> Callable[[Te
     return lambda obs: function(own_units(obs.numpy()).astype(np.float32))
 
 
-class _Networks(NamedTuple):
-    """A policy's own networks; `centre` and `spread` (O,) are what normalises its observations."""
+def _networks(model: Any) -> tuple[Layers, list[Layers], Any, Any] | None:
+    """An off-policy model's actor and critics; None if they have another form.
 
-    actor: Layers
-    critics: list[Layers]
-    centre: NDArray | float = 0.0
-    spread: NDArray | float = 1.0
-
-
-def _networks(model: Any) -> _Networks | None:
-    """The networks of an off-policy model of stable-baselines3; None if they have another form."""
+    Then the mean and spread, (O,) each, by which stable-baselines3 normalises its observations.
+    """
     actor = getattr(model, "actor", None)
     if actor is None or not hasattr(model, "get_vec_normalize_env") or not hasattr(actor, "mu"):
         return None
     if isinstance(actor.mu, nn.Linear):  # SAC
-        body = _layers([*getattr(actor, "latent_pi", ())])
-        if body is None or not isinstance(actor.log_std, nn.Linear):  # or it explores by a state
+        layers = _layers([*getattr(actor, "latent_pi", ())])
+        if layers is None or not isinstance(actor.log_std, nn.Linear):  # or it explores by a state
             return None
         (mean, mean_bias), (std, std_bias) = _layer(actor.mu), _layer(actor.log_std)
-        layers = [*body, (np.hstack((mean, std)), np.hstack((mean_bias, std_bias)))]
+        layers.append((np.hstack((mean, std)), np.hstack((mean_bias, std_bias))))
     else:  # TD3, DDPG: the last module is the tanh
-        found = _layers([*actor.mu][:-1]) if isinstance([*actor.mu][-1], nn.Tanh) else None
-        if found is None:
+        layers = _layers([*actor.mu][:-1]) if isinstance([*actor.mu][-1], nn.Tanh) else None
+        if layers is None:
             return None
-        weight, bias = found[-1]
-        last = (
-            np.hstack((weight, np.zeros_like(weight))),
-            np.append(bias, np.full(len(bias), NARROW)),
-        )
-        layers = [*found[:-1], last]
+        weight, bias = layers[-1]
+        narrow = np.append(bias, np.full(len(bias), NARROW))
+        layers[-1] = np.hstack((weight, np.zeros_like(weight))), narrow
     critics = [_layers([*net]) for net in getattr(model.critic, "q_networks", ())]
-    own = _Networks(layers, [critic for critic in critics if critic])
+    whole = [critic for critic in critics if critic]
     normalised = model.get_vec_normalize_env()
     if normalised is None or not normalised.norm_obs:
-        return own
+        return layers, whole, 0.0, 1.0
     moments = normalised.obs_rms
-    return own._replace(centre=moments.mean, spread=np.sqrt(moments.var + normalised.epsilon))
+    return layers, whole, moments.mean, np.sqrt(moments.var + normalised.epsilon)
 
 
 def _layers(modules: Sequence[nn.Module]) -> Layers | None:

@@ -1,7 +1,6 @@
 """The rows that a loop hands in, on their way to the record: checked, and in whole episodes."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from math import ceil, isfinite
 from typing import Any, Literal
 
@@ -10,54 +9,28 @@ from numpy.typing import NDArray
 
 from tom.analysis.ordered_data import action_bounds
 from tom.data.transitions import Transitions
-from tom.envs import GymnasiumTask, Task
+from tom.envs import Task
 from tom.errors import UserError
 
 Autoreset = Literal["next-step", "same-step"]
 AUTORESET: tuple[Autoreset, ...] = ("next-step", "same-step")
 NUMBER, BOOL = (float, int, np.floating), (bool, np.bool_)
 BLOCK = 4096
-"""rows that are written at once"""
+"""rows that are recorded at once"""
 NAMES = ("obs", "action", "reward", "next_obs", "terminated", "truncated")
 KINDS = (np.float64, np.float64, np.float64, np.float64, bool, bool)
-Columns = tuple[NDArray, ...]
+Columns = list[NDArray]
 """the columns of NAMES with the same leading axes"""
-Write = Callable[[Transitions, NDArray[np.int64]], None]
-"""takes rows as agents see them, and the numbers (n,) with which they were handed in"""
+Ended = tuple[int, float, int]
+"""an episode: the number of its last row, counted from 1, its return and its length"""
 Part = tuple[Columns, NDArray[np.int64]]
 """rows (n, ...) in the order of collection, and the numbers (n,) with which they were handed in"""
 
 
-@dataclass(frozen=True)
-class Ended:
-    """An episode that ended with the row handed in as number `at`, counted from 1."""
-
-    at: int
-    total: float
-    length: int
-
-
-class Units:
-    """A task's own units, in which a loop hands in, as agents see them (`tom.envs`)."""
-
-    def __init__(self, known: Task) -> None:
-        low, high = (bound.astype(np.float64) for bound in action_bounds(known))
-        self._known, self._centre, self._half = known, (low + high) / 2, (high - low) / 2
-
-    def obs(self, obs: NDArray) -> NDArray[np.float32]:
-        """Observations (..., O)."""
-        known = self._known
-        return known.unit_obs(obs) if isinstance(known, GymnasiumTask) else obs.astype(np.float32)
-
-    def action(self, action: NDArray) -> NDArray[np.float32]:
-        """Actions (..., A), in [-1, 1]."""
-        return ((action - self._centre) / self._half).astype(np.float32)
-
-
 class Rows:
-    """Takes the steps of `envs` environments and passes on their rows, `BLOCK` or more at a time.
+    """Takes the steps of `envs` environments; `blocks` gives their rows as they are recorded.
 
-    Rows of several environments are passed on by whole episodes, since a record's neighbours are
+    Rows of several environments are given by whole episodes, since a record's neighbours are
     neighbours in time; until then they wait here. Each has the number with which it was handed in,
     counted from 1: step after step, in a step environment after environment.
     """
@@ -69,21 +42,22 @@ class Rows:
         autoreset: Autoreset | None,
         handed: int,
         numbers: NDArray[np.int64],
-        write: Write,
     ) -> None:
         """`handed` rows were handed in before; those with `numbers` (N,) are in the record."""
-        self.handed, self.envs, self._autoreset, self._write = handed, envs, autoreset, write
-        self._units, self._recorded = Units(known), [numbers]
+        self.handed, self.envs, self._autoreset = handed, envs, autoreset
+        self._known, self._recorded = known, [numbers]
+        low, high = (bound.astype(np.float64) for bound in action_bounds(known))
+        self._centre, self._half = (low + high) / 2, (high - low) / 2
         obs, action = (known.obs_dim,), (known.action_dim,)
         self._shapes: dict[str, tuple[int, ...]] = {"obs": obs, "action": action, "next_obs": obs}
-        self._single = obs, action, obs
         self._one_by_one = envs == 1 and autoreset is None
         self._ended = np.zeros(envs, bool)  # the last step of each environment
         self._waiting: list[list[Part]] = [[] for _ in range(envs)]
         self._returns, self._lengths = [0.0] * envs, [0] * envs
         self._steps: list[tuple] = []  # single steps, as lists of numbers: the fastest to append
         self._parts: list[Part] = []
-        self._count = 0  # of the rows in both
+        self.count = 0
+        """rows that are complete and not yet given"""
 
     @property
     def recorded(self) -> NDArray[np.int64]:
@@ -91,7 +65,7 @@ class Rows:
         self._recorded = [np.concatenate(self._recorded)]
         return self._recorded[0]
 
-    def add(self, step: tuple[Any, ...], infos: Mapping[str, Any] | None = None) -> Sequence[Ended]:
+    def add(self, step: tuple[Any, ...], infos: Mapping[str, Any] | None = None) -> list[Ended]:
         """Take one step or many, NAMES; the episodes that ended.
 
         Leading axes: none or (T,) steps of one environment; (E,) or (T, E) of several. Raises
@@ -102,48 +76,48 @@ class Rows:
         self._join_steps()
         columns = self._checked(step)
         reward, ends = columns[2], columns[4] | columns[5]  # (T, E)
-        envs = ends.shape[1]
         if self._autoreset == "same-step":
             columns = _with_final_obs(columns, ends, infos)
         columns = self._as_recorded(columns)
         first, self.handed = self.handed, self.handed + ends.size
         kept = np.ones_like(ends)
         if self._autoreset == "next-step":  # the step after an end only resets
-            kept = ~_after_end(ends, self._ended)
-            self._ended = ends[-1] & kept[-1]
+            for t in range(len(ends)):
+                kept[t] = ~self._ended
+                self._ended = ends[t] & kept[t]
         found: list[Ended] = []
-        for env in range(envs):
+        for env in range(self.envs):
             rows = np.flatnonzero(kept[:, env]) if self._autoreset else slice(None)
-            own = tuple(column[rows, env] for column in columns)
-            numbers = np.arange(first + env + 1, self.handed + 1, envs)[rows]
-            if len(numbers):
-                found += self._episodes(env, reward[rows, env], ends[rows, env], numbers)
-                self._wait(env, own, numbers, ends[rows, env])
-        return sorted(found, key=lambda ended: ended.at)
+            numbers = np.arange(first + env + 1, self.handed + 1, self.envs)[rows]
+            own, lasts = [column[rows, env] for column in columns], np.flatnonzero(ends[rows, env])
+            found += self._episodes(env, reward[rows, env], lasts.tolist(), numbers)
+            # Complete are rows whose episode has ended; of a single environment all.
+            done = len(numbers) if self._one_by_one else int(lasts[-1]) + 1 if len(lasts) else 0
+            if done:
+                self._complete(env, ([column[:done] for column in own], numbers[:done]))
+            if done < len(numbers):
+                self._waiting[env].append(([column[done:] for column in own], numbers[done:]))
+        return sorted(found)
 
-    def flush(self) -> None:
-        """Pass on what is complete."""
+    def blocks(self) -> list[tuple[Transitions, NDArray[np.int64]]]:
+        """The complete rows, as agents see them, and their numbers (n,): blocks of BLOCK or so."""
         self._join_steps()
-        parts, self._parts, self._count = self._parts, [], 0
+        parts, self._parts, self.count = self._parts, [], 0
         if not parts:
-            return
+            return []
         rows = Transitions.concatenate([Transitions(*columns) for columns, _ in parts])
         numbers = np.concatenate([numbers for _, numbers in parts])
-        size = ceil(len(rows) / max(len(rows) // BLOCK, 1))
-        for first in range(0, len(rows), size):
-            self._write(rows[first : first + size], numbers[first : first + size])
         self._recorded.append(numbers)
+        size = ceil(len(rows) / max(len(rows) // BLOCK, 1))
+        return [(rows[i : i + size], numbers[i : i + size]) for i in range(0, len(rows), size)]
 
-    def close(self) -> None:
-        """Pass on everything; an episode that is not over is cut: truncated."""
-        for waiting in self._waiting:
+    def cut(self) -> None:
+        """Complete every row: an episode that is not over is truncated."""
+        for env, waiting in enumerate(self._waiting):
             if waiting:
                 (*_, terminated, truncated), _ = waiting[-1]
                 truncated[-1] |= not terminated[-1]
-            for part in waiting:
-                self._pass_on(*part)
-            waiting.clear()
-        self.flush()
+            self._complete(env)
 
     def in_record(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
         """The weights of the newest rows of the record, up to the oldest that has one.
@@ -158,11 +132,11 @@ class Rows:
     def _is_single(self, step: tuple[Any, ...]) -> bool:
         obs, action, reward, next_obs, terminated, truncated = step
         try:
-            shapes = obs.shape, action.shape, next_obs.shape
+            shapes = {"obs": obs.shape, "action": action.shape, "next_obs": next_obs.shape}
         except AttributeError:
             return False
         return (
-            shapes == self._single
+            shapes == self._shapes
             and isinstance(reward, NUMBER)
             and isinstance(terminated, BOOL)
             and isinstance(truncated, BOOL)
@@ -170,39 +144,40 @@ class Rows:
 
     def _add_single(
         self, obs: Any, action: Any, reward: Any, next_obs: Any, terminated: Any, truncated: Any
-    ) -> Sequence[Ended]:
+    ) -> list[Ended]:
         row = obs.tolist(), action.tolist(), reward, next_obs.tolist(), terminated, truncated
         if not isfinite(sum(row[0]) + sum(row[1]) + reward + sum(row[3])):
             raise UserError("a step has a value that is no finite number")
         self._steps.append(row)
-        self._count += 1
+        self.count += 1
         self.handed += 1
         self._returns[0] += reward
         self._lengths[0] += 1
-        if self._count >= BLOCK:
-            self.flush()
         if not (terminated or truncated):
-            return ()
-        ended = Ended(self.handed, float(self._returns[0]), self._lengths[0])
+            return []
+        ended = self.handed, float(self._returns[0]), self._lengths[0]
         self._returns[0], self._lengths[0] = 0.0, 0
-        return (ended,)
+        return [ended]
 
     def _join_steps(self) -> None:
-        """Make the single steps one part."""
         if self._steps:
             columns = zip(zip(*self._steps, strict=True), KINDS, strict=True)
             numbers = np.arange(self.handed - len(self._steps), self.handed) + 1
-            rows = self._as_recorded(tuple(np.array(column, kind) for column, kind in columns))
+            rows = self._as_recorded([np.array(column, kind) for column, kind in columns])
             self._parts.append((rows, numbers))
             self._steps = []
 
     def _as_recorded(self, columns: Columns) -> Columns:
         """Copies of the columns, as agents see them."""
         obs, action, reward, next_obs, terminated, truncated = columns
-        return (
-            self._units.obs(obs), self._units.action(action), reward.astype(np.float32),
-            self._units.obs(next_obs), terminated.copy(), truncated.copy(),
-        )  # fmt: skip
+        return [
+            self._known.unit_obs(obs), self.unit_action(action), reward.astype(np.float32),
+            self._known.unit_obs(next_obs), terminated.copy(), truncated.copy(),
+        ]  # fmt: skip
+
+    def unit_action(self, action: NDArray) -> NDArray[np.float32]:
+        """Actions (..., A) in the task's own units, in [-1, 1]."""
+        return ((action - self._centre) / self._half).astype(np.float32)
 
     def _checked(self, step: tuple[Any, ...]) -> Columns:
         """The columns with axes (T, E, ...). Raises UserError, ValueError or TypeError."""
@@ -219,51 +194,27 @@ class Rows:
                 )
             if column.dtype != bool and not isfinite(column.sum()):  # faster than each value's
                 raise UserError(f"{name} has a value that is no finite number")
-        return tuple(x.reshape(-1, self.envs, *x.shape[len(lead) :]) for x in columns)
+        return [x.reshape(-1, self.envs, *x.shape[len(lead) :]) for x in columns]
 
     def _episodes(
-        self, env: int, reward: NDArray, ends: NDArray[np.bool_], numbers: NDArray[np.int64]
+        self, env: int, reward: NDArray, lasts: list[int], numbers: NDArray[np.int64]
     ) -> list[Ended]:
         found, first = [], 0
-        for last in np.flatnonzero(ends).tolist():
-            total = self._returns[env] + reward[first : last + 1].sum()
-            length = self._lengths[env] + last + 1 - first
-            found.append(Ended(int(numbers[last]), float(total), length))
+        for last in lasts:
+            total = self._returns[env] + float(reward[first : last + 1].sum())
+            found.append((int(numbers[last]), total, self._lengths[env] + last + 1 - first))
             self._returns[env], self._lengths[env] = 0.0, 0
             first = last + 1
-        self._returns[env] += reward[first:].sum()
+        self._returns[env] += float(reward[first:].sum())
         self._lengths[env] += len(reward) - first
         return found
 
-    def _wait(
-        self, env: int, columns: Columns, numbers: NDArray[np.int64], ends: NDArray[np.bool_]
-    ) -> None:
-        """Pass on rows once their episode has ended; of a single environment at once."""
-        last = np.flatnonzero(ends)
-        done = len(ends) if self._one_by_one else int(last[-1]) + 1 if len(last) else 0
-        if done:
-            for waiting in self._waiting[env]:
-                self._pass_on(*waiting)
-            self._waiting[env].clear()
-            self._pass_on(tuple(column[:done] for column in columns), numbers[:done])
-        if done < len(numbers):
-            rest = tuple(column[done:] for column in columns)
-            self._waiting[env].append((rest, numbers[done:]))
-
-    def _pass_on(self, columns: Columns, numbers: NDArray[np.int64]) -> None:
-        self._parts.append((columns, numbers))
-        self._count += len(numbers)
-        if self._count >= BLOCK:
-            self.flush()
-
-
-def _after_end(ends: NDArray[np.bool_], before: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which steps (T, E) follow an end, `before` (E,) being the step before the first."""
-    after = np.zeros_like(ends)
-    for step in range(len(ends)):
-        after[step] = before
-        before = ends[step] & ~after[step]
-    return after
+    def _complete(self, env: int, *last: Part) -> None:
+        """What waits of an environment, and `last`, may be recorded."""
+        done = [*self._waiting[env], *last]
+        self._waiting[env] = []
+        self._parts += done
+        self.count += sum(len(numbers) for _, numbers in done)
 
 
 def _with_final_obs(
@@ -281,4 +232,4 @@ def _with_final_obs(
     next_obs = columns[3].copy()
     for env in np.flatnonzero(ends[0]).tolist():
         next_obs[0, env] = final[env]
-    return *columns[:3], next_obs, *columns[4:]
+    return [*columns[:3], next_obs, *columns[4:]]

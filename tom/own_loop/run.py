@@ -6,9 +6,8 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Concatenate, Literal, ParamSpec, Self
 
 import numpy as np
@@ -19,7 +18,6 @@ from tom.analysis.ordered_data import card_of_run
 from tom.config import OWN_LOOP, OwnLoopConfig
 from tom.data.card import FEW_ROWS
 from tom.data.transitions import Transitions
-from tom.envs import Task
 from tom.errors import UserError, invalid_value, reason
 from tom.events import (
     Collected,
@@ -34,13 +32,11 @@ from tom.events import (
 )
 from tom.own_loop.opening import known_task, opened
 from tom.own_loop.policy import PolicyCopier
-from tom.own_loop.rows import AUTORESET, Autoreset, Rows, Units, Write
+from tom.own_loop.rows import AUTORESET, BLOCK, Autoreset, Rows
 from tom.policy.collect import Evaluator
 from tom.policy.stored import StoredPolicy
 from tom.record import RunReader, Store, decode, layout
 from tom.record.files import plain
-from tom.record.recorder import Recorder
-from tom.record.writer import RunWriter
 
 FLUSH_S = 2.0
 """seconds after which rows are written although they are few"""
@@ -52,53 +48,13 @@ Arrays = dict[str, NDArray]
 P = ParamSpec("P")
 
 
-def record(
-    name: str,
-    *,
-    env: str,
-    store: str | Path = "runs",
-    config: Mapping[str, Any] | None = None,
-    steps: int = 1_000_000,
-    seed: int = 0,
-    envs: int = 1,
-    autoreset: Autoreset | None = None,
-    resume: Literal["auto"] | None = None,
-    step: int | None = None,
-    strict: bool = False,
-) -> "OwnRun":
-    """Record a training loop of your own in the run folder `store`/`name`.
-
-    `env` is a task of Gymnasium (`Hopper-v5`, `module:Id-v0`) or of `tom train`; `config` are your
-    settings, by which runs are told apart; `steps` are planned. With `envs` above 1 the leading
-    axis of all rows is that of the environments; `autoreset` is their mode, None if next_obs is
-    always the step's own. With `resume="auto"` a run of that name goes on: at `step`, if it is
-    given, after which everything is cut off. Raises UserError. Later errors are warnings, and the
-    loop goes on, unless it is `strict`.
-    """
-    known, place = known_task(env), Store(Path(store))
-    if envs < 1 or autoreset not in (None, *AUTORESET) or resume not in (None, "auto"):
-        raise UserError(
-            f"envs {envs}, autoreset {autoreset}, resume {resume}: envs is at least 1, autoreset "
-            f"is one of {', '.join(AUTORESET)} or None, resume is 'auto' or None"
-        )
-    given = json.loads(json.dumps(plain(config or {}), default=str))
-    try:
-        settings = OwnLoopConfig(
-            env=known.name, learner=OWN_LOOP, steps=steps, seed=seed, own=given
-        )
-    except ValidationError as error:
-        raise UserError(invalid_value(error)) from None
-    recorder, writer = opened(place, name, settings, resume, step)
-    numbers = RunReader(writer.path).buffer()[1]
-    handed = int(numbers.max(initial=0)) if step is None or not len(numbers) else step
-    rows = partial(Rows, known, envs, autoreset, handed, numbers)
-    return OwnRun(writer, recorder, known, rows, strict)
-
-
 def _guarded(
     method: Callable[Concatenate["OwnRun", P], None],
 ) -> Callable[Concatenate["OwnRun", P], None]:
-    """The method, after whose errors the loop goes on (`strict`: they are raised)."""
+    """The method, after whose errors the loop goes on (`strict`: they are raised).
+
+    Bad input is not recorded; a disk that cannot be written ends the record as failed.
+    """
 
     @wraps(method)
     def guarded(self: "OwnRun", *args: P.args, **kwargs: P.kwargs) -> None:
@@ -107,36 +63,72 @@ def _guarded(
         try:
             method(self, *args, **kwargs)
         except OSError as error:
-            self._give_up(error)
+            self.closed = True
+            text = f'{reason(error)}: free some space, then start again with resume="auto"'
+            self._recorder.finish("failed", f"step {self.step}: {text}")
+            if self._strict:
+                raise
+            warnings.warn(f"run {self.name} is recorded no further: {text}", stacklevel=2)
         except (UserError, TypeError, ValueError) as error:
-            self._refuse(f"{method.__name__}: {reason(error)}")
+            why = f"{method.__name__}: {reason(error)}"
+            if self._strict:
+                raise UserError(why) from error
+            warnings.warn(f"run {self.name}: not recorded: {why}", stacklevel=2)
+            self._notice("not-recorded", why)
 
     return guarded
 
 
 class OwnRun:
-    """The record of a loop: what `tom.record` returns. A context manager; else call `close`.
+    """The record of a training loop of your own in the run folder `store`/`name`: `tom.record`.
 
-    As a context manager it ends as `stopped` after Ctrl-C, as `failed` after another exception.
+    `env` is a task of Gymnasium (`Hopper-v5`, `module:Id-v0`) or of `tom train`; `config` are your
+    settings, by which runs are told apart; `steps` are planned. With `envs` above 1 the leading
+    axis of all rows is that of the environments; `autoreset` is their mode, None if next_obs is
+    always the step's own. With `resume="auto"` a run of that name goes on: at `step`, if it is
+    given, after which everything is cut off. Raises UserError. Later errors are warnings, and the
+    loop goes on, unless it is `strict`.
+
+    A context manager, which ends as `stopped` after Ctrl-C and as `failed` after another exception;
+    else call `close`.
     """
 
     def __init__(
         self,
-        writer: RunWriter,
-        recorder: Recorder,
-        known: Task,
-        rows: Callable[[Write], Rows],
-        strict: bool,
+        name: str,
+        *,
+        env: str,
+        store: str | Path = "runs",
+        config: Mapping[str, Any] | None = None,
+        steps: int = 1_000_000,
+        seed: int = 0,
+        envs: int = 1,
+        autoreset: Autoreset | None = None,
+        resume: Literal["auto"] | None = None,
+        step: int | None = None,
+        strict: bool = False,
     ) -> None:
-        self.name, self.path = writer.run_id, writer.path
-        self.closed = False
-        self._known, self._units = known, Units(known)
-        self._recorder, self._writer, self._strict = recorder, writer, strict
-        self._rows = rows(self._write)
+        known, place = known_task(env), Store(Path(store))
+        if envs < 1 or autoreset not in (None, *AUTORESET) or resume not in (None, "auto"):
+            raise UserError(
+                f"envs {envs}, autoreset {autoreset}, resume {resume}: envs is at least 1, "
+                f"autoreset is one of {', '.join(AUTORESET)} or None, resume is 'auto' or None"
+            )
+        own = json.loads(json.dumps(plain(config or {}), default=str))
+        chosen: dict[str, Any] = {"steps": steps, "seed": seed, "own": own}
+        try:
+            settings = OwnLoopConfig(env=known.name, learner=OWN_LOOP, **chosen)
+        except ValidationError as error:
+            raise UserError(invalid_value(error)) from None
+        self._recorder, self._writer = opened(place, name, settings, resume, step)
+        self.name, self.path, self.closed = name, self._writer.path, False
+        numbers = RunReader(self.path).buffer()[1]
+        handed = int(numbers.max(initial=0)) if step is None or not len(numbers) else step
+        self._known, self._strict = known, strict
+        self._rows = Rows(known, envs, autoreset, handed, numbers)
         self.began_at = self.step
         """rows handed in before the loop began or went on"""
-        self._step = 0  # the last that the caller named
-        self._returned = -1  # the last at which the caller gave eval/return
+        self._step, self._returned = 0, -1  # the last that was named, and with eval/return
         self._flushed = time.monotonic()
         self._policy: tuple[int, Arrays] | None = None
         self._copier = PolicyCopier(known)
@@ -176,11 +168,13 @@ class OwnRun:
         counts with same-step autoreset.
         """
         step = obs, action, reward, next_obs, terminated, truncated
-        for ended in self._rows.add(step, infos):
-            values = {"train/return": ended.total, "train/length": float(ended.length)}
-            self._recorder.consume(Metrics(ended.at, values))
+        for at, total, length in self._rows.add(step, infos):
+            values = {"train/return": total, "train/length": float(length)}
+            self._recorder.consume(Metrics(at, values))
+        if self._rows.count >= BLOCK:
+            self._flush()
         if time.monotonic() - self._flushed > FLUSH_S:
-            self._rows.flush()
+            self._flush()
             self._flushed = time.monotonic()
             self._recorder.consume(Tick(max(self.step, self._step), "collect"))
 
@@ -209,7 +203,7 @@ class OwnRun:
         if not np.isfinite(given).all() or (given < 0).any() or not given.any():
             raise UserError("they must be finite, non-negative and not all zero")
         at = self._at(step)
-        self._rows.flush()
+        self._flush()
         kept = self._rows.in_record(given)
         if not kept.any():
             raise UserError("none of the recorded rows has any weight yet")
@@ -225,18 +219,18 @@ class OwnRun:
         `tom.own_loop.policy` says what it may answer, and what becomes of it.
         """
         at = self._at(step)
-        self._rows.flush()
+        self._flush()
         rows = self._newest
         obs = np.zeros((0, self._known.obs_dim)) if rows is None else np.asarray(rows.obs)
-        copied = self._copier.copy(policy, obs)
-        self._policy = at, copied.arrays
-        self._recorder.consume(KeptPolicy(at, copied.arrays))
-        if copied.error is not None:
-            self._recorder.consume(Metrics(at, {"policy/copy_error": copied.error}))
-            if copied.error > COPY_ERROR:
+        arrays, error = self._copier.copy(policy, obs)
+        self._policy = at, arrays
+        self._recorder.consume(KeptPolicy(at, arrays))
+        if error is not None:
+            self._recorder.consume(Metrics(at, {"policy/copy_error": error}))
+            if error > COPY_ERROR:
                 self._notice(
                     "policy-copy",
-                    f"the kept copy of the policy differs from its answers by {copied.error:.2f} "
+                    f"the kept copy of the policy differs from its answers by {error:.2f} "
                     "of actions in [-1, 1]: what is measured with it is of the copy",
                 )
 
@@ -266,13 +260,13 @@ class OwnRun:
             left_out = known.root_dims or 0
             obs = np.concatenate((qpos[..., left_out:], qvel), -1)
         else:
-            obs, qpos, qvel = self._units.obs(np.asarray(states, np.float64)), None, None
+            obs, qpos, qvel = known.unit_obs(np.asarray(states, np.float64)), None, None
             shapes["states"] = obs, (h + 1, known.obs_dim)
             if known.root_dims is not None and obs.shape == shapes["states"][1]:
                 qpos, qvel = known.qpos_from_obs(obs), obs[:, known.nq - known.root_dims :]
         action = np.full((h, known.action_dim), np.nan, np.float32)
         if actions is not None:
-            action = self._units.action(np.asarray(actions, np.float64))
+            action = self._rows.unit_action(np.asarray(actions, np.float64))
             shapes["actions"] = action, (h, known.action_dim)
         for name, (array, shape) in shapes.items():
             if array.shape != shape or not h:
@@ -314,46 +308,20 @@ class OwnRun:
 
     # The end
 
-    def close(self) -> None:
-        """End the record: it is finished, with the last policy that was kept."""
-        self._end()
+    def close(self, error: BaseException | None = None) -> None:
+        """End the record: it is finished, with the last policy that was kept.
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._end(error)
-
-    def _refuse(self, why: str) -> None:
-        """Say what was not recorded, and let the loop go on."""
-        if self._strict:
-            raise UserError(why)
-        warnings.warn(f"run {self.name}: not recorded: {why}", stacklevel=4)
-        self._notice("not-recorded", why)
-
-    def _give_up(self, error: OSError) -> None:
-        """End the record as failed; the loop goes on without one."""
-        self.closed = True
-        text = f'{reason(error)}: free some space, then start again with resume="auto"'
-        self._recorder.finish("failed", f"step {self.step}: {text}")
-        if self._strict:
-            raise error
-        warnings.warn(f"run {self.name} is recorded no further: {text}", stacklevel=4)
-
-    def _end(self, error: BaseException | None = None) -> None:
+        After an `error` it has failed, and was stopped by Ctrl-C.
+        """
         if self.closed:
             return
         self.closed = True
         for why in filter(None, (failed() for failed in self.live)):
-            warnings.warn(f"run {self.name}: the live weighing failed: {why}", stacklevel=3)
+            warnings.warn(f"run {self.name}: the live weighing failed: {why}", stacklevel=2)
         atexit.unregister(self._at_exit)
         try:
-            self._rows.close()
+            self._rows.cut()
+            self._flush()
             at = max(self.step, self._step)
             self._recorder.consume(Tick(at, "collect"))
             if error is None and self._policy:
@@ -363,7 +331,13 @@ class OwnRun:
         self._recorder.__exit__(None if error is None else type(error), error, None)
 
     def _at_exit(self) -> None:
-        self._end(getattr(sys, "last_value", None))
+        self.close(getattr(sys, "last_value", None))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        self.close(error)
 
     # Parts
 
@@ -382,14 +356,14 @@ class OwnRun:
             self._given.add(code)
             self._recorder.consume(Notice(max(self.step, self._step), code, text))
 
-    def _write(self, rows: Transitions, numbers: NDArray[np.int64]) -> None:
-        """Record rows as agents see them, with their numbers (n,)."""
-        self._recorder.consume(Collected(self.step, rows, numbers))
-        self._newest = rows
-        if numbers[-1] >= self._next_card and len(rows) >= FEW_ROWS:
-            self._next_card = 8 * int(numbers[-1])
-            for code, text in card_of_run(rows, self._known).notices():
-                self._notice(code, text)
+    def _flush(self) -> None:
+        for rows, numbers in self._rows.blocks():
+            self._recorder.consume(Collected(self.step, rows, numbers))
+            self._newest = rows
+            if numbers[-1] >= self._next_card and len(rows) >= FEW_ROWS:
+                self._next_card = 8 * int(numbers[-1])
+                for code, text in card_of_run(rows, self._known).notices():
+                    self._notice(code, text)
 
     def _evaluated(self, step: int, episodes: Sequence[Episode]) -> None:
         at, earlier = self._episodes
@@ -399,3 +373,6 @@ class OwnRun:
             self._writer.arrays(layout.episodes(step), arrays)
         else:
             self._recorder.consume(Evaluation(*self._episodes))
+
+
+record = OwnRun

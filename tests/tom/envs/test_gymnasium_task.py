@@ -1,8 +1,5 @@
 """Any Gymnasium task: its units, its episodes played again, its geometry; what cannot be used."""
 
-import sys
-from pathlib import Path
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -10,10 +7,10 @@ import torch
 from common import one_line
 from gymnasium.envs.mujoco.swimmer_v5 import SwimmerEnv
 
-from tom.envs import ENVS, bring, scene, task
+from tom.envs import ENVS, scene, task
 from tom.envs.environment import capture, restore
 from tom.envs.gymnasium_task import GymnasiumTask, describe
-from tom.envs.termination import NEVER, RULES, bring_rule, rule
+from tom.envs.termination import NEVER, RULES, rule
 from tom.errors import OwnCodeError, StartAgainError, UserError
 
 MUJOCO = ("Swimmer-v5", "Reacher-v5", "Pusher-v5")
@@ -111,11 +108,9 @@ class Broken(Arm):
 
 LATE = {
     "LateInf-v0": ("dimension 0 is inf", (np.full(2, np.inf), 0.0, False, False, {})),
-    "LateHuge-v0": (r"dimension 1 is 1e\+300", (np.array([0, 1e300]), 0.0, False, False, {})),
     "LateNaN-v0": ("reward of nan", (np.zeros(2), np.nan, False, False, {})),
     "LateWide-v0": (r"shape \(1,\), not \(2,\)", (np.zeros(1), 0.0, False, False, {})),
     "LateError-v0": (r"ValueError: stuck \(test_gymnasium_task", ValueError("stuck\nand more")),
-    "LateExit-v0": ("SystemExit: SystemExit", SystemExit()),
 }
 IMAGE = gym.spaces.Box(0, 255, (8, 8, 3), np.uint8)
 MADE: dict[str, tuple[type[gym.Env], dict]] = {
@@ -128,7 +123,6 @@ MADE: dict[str, tuple[type[gym.Env], dict]] = {
     "Forgetful-v0": (Forgetful, {}),
     "Strict-v0": (Strict, {}),
     "Pictures-v0": (Flat, {"observation_space": IMAGE}),
-    "Named-v0": (Flat, {"observation_space": gym.spaces.Dict({"a": BOX})}),
     "Endless-v0": (Flat, {"action_space": gym.spaces.Box(-np.inf, np.inf, (1,))}),
     "Whole-v0": (Flat, {"action_space": gym.spaces.Box(0, 4, (2,), np.int64)}),
     "Still-v0": (Flat, {"action_space": gym.spaces.Box(np.zeros(2), np.arange(2.0))}),
@@ -227,10 +221,8 @@ def test_damaged_geometry_is_refused():
     model = scene.made_model(named("Reacher-v5"))
     assert model is not None
     for name, bad in (
-        ("body_parentid", np.array([0, 4, 1, 2, 0])),
         ("geom_size", np.full((10, 3), np.nan)),
         ("jnt_bodyid", np.array([0, 1, 2, 99])),
-        ("geom_type", np.full(10, 7)),
         ("dt", np.array(0.0)),
     ):
         held = scene.arrays(model) | {name: bad}
@@ -247,7 +239,8 @@ def test_joints_are_found_in_observations_where_they_are():
         "HalfCheetah-v5": 1,
         "Ant-v5": None,
     }
-    assert named("HalfCheetah-v5").qpos_from_obs(np.ones((2, 17)))[:, 0] == pytest.approx(0)
+    # also in an array that the task goes on changing
+    assert named("Swim-v0").root_dims == named("Swimmer-v5").root_dims
 
 
 def test_rescaled_joints_are_no_joint_positions():
@@ -273,13 +266,10 @@ def test_rescaled_joints_are_no_joint_positions():
     ("name", "words"),
     [
         ("gymnasium:CartPole-v1", "Discrete"),
-        ("gymnasium:Blackjack-v1", "Tuple"),
         ("gymnasium:dm_control/arm-look-v0", "Dict"),
         ("gymnasium:dm_control/arm-broken-v0", r"MuJoCo \d.*docs/tasks.md"),
         ("gymnasium:dm_control/arm-reech-v0", "arm-reach"),
-        ("gymnasium:dm_contrl/arm-reach-v0", "dm_contrl"),
         ("gymnasium:Pictures-v0", r"Box\(8, 8, 3\)"),
-        ("gymnasium:Named-v0", "Dict"),
         ("gymnasium:Endless-v0", "dimension 0 are -inf and inf"),
         ("gymnasium:Still-v0", "dimension 0 are 0 and 0"),
         ("gymnasium:Whole-v0", "int64"),
@@ -289,16 +279,11 @@ def test_rescaled_joints_are_no_joint_positions():
         ("gymnasium:SwimStuck-v0", r"step 5 .* ValueError: stuck \(test_gymnasium_task"),
         ("gymnasium:Swimer-v5", "Swimmer"),
         ("gymnasium:a:b", "MODULE:ID"),
-        ("gymnasium:", "MODULE:ID"),
     ],
 )
 def test_what_cannot_be_used_is_one_line(name: str, words: str):
     with one_line(words):
         describe(name)
-
-
-def test_joints_are_found_in_an_array_that_the_task_goes_on_changing():
-    assert named("Swim-v0").root_dims == named("Swimmer-v5").root_dims is not None
 
 
 @pytest.mark.parametrize("gym_id", LATE)
@@ -319,55 +304,6 @@ def test_the_bounds_of_actions_are_taken_in_double_precision():
         env.step(np.full(2, bound))
 
 
-def test_a_module_is_imported_where_the_user_names_it_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    (tmp_path / "tasks_of_mine.py").write_text(
-        "import gymnasium as gym\nfrom gymnasium.envs.classic_control import PendulumEnv\n"
-        "gym.register('Own-v0', PendulumEnv, max_episode_steps=50)\n"
-        "def fallen(obs):\n    return obs[:, 0] < 0\n"
-    )
-    monkeypatch.chdir(tmp_path)
-    name = "tasks_of_mine:Own-v0"
-    with pytest.raises(UserError, match="add --env tasks_of_mine:Own-v0"):
-        task(name)
-    with pytest.raises(UserError, match="nowhere"):
-        bring("nowhere:Own-v0")
-    bring(name)
-    assert task(name).max_episode_steps == 50
-    with pytest.raises(UserError, match="add --termination tasks_of_mine:fallen"):
-        rule(task(name), "tasks_of_mine:fallen")
-    with pytest.raises(UserError, match="risen"):
-        bring_rule("tasks_of_mine:risen")
-    bring_rule("tasks_of_mine:fallen")
-    ends = rule(task(name), "tasks_of_mine:fallen")
-    assert ends(torch.tensor([[-0.5, 0, 0], [0.5, 0, 0]])).tolist() == [True, False]
-
-
-def test_a_module_of_this_folder_imports_its_neighbours_when_it_needs_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    (tmp_path / "near_tasks.py").write_text(
-        "import gymnasium as gym\n"
-        "gym.register('Near-v0', 'near_parts:Near', max_episode_steps=50)\n"
-        "def fallen(obs):\n    from near_rules import low\n    return low(obs)\n"
-    )
-    (tmp_path / "near_parts.py").write_text(
-        "from gymnasium.envs.classic_control import PendulumEnv\n"
-        "class Near(PendulumEnv):\n"
-        "    def reset(self, **given):\n"
-        "        import near_rules\n        return super().reset(**given)\n"
-    )
-    (tmp_path / "near_rules.py").write_text("def low(obs):\n    return obs[:, 0] < 0\n")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [each for each in sys.path if each not in ("", ".")])
-    bring("near_tasks:Near-v0")
-    known = task("near_tasks:Near-v0")
-    bring_rule("near_tasks:fallen")
-    assert rule(known, "near_tasks:fallen")(torch.full((1, 3), -1.0)).tolist() == [True]
-    assert sys.path.count(str(tmp_path)) == 1
-
-
 def test_a_rule_is_asked_in_the_tasks_units_and_tried_first():
     known = named("MountainCarContinuous-v0")
     RULES["test at the goal"] = lambda obs: obs[:, 0] >= 0.45
@@ -379,9 +315,6 @@ def test_a_rule_is_asked_in_the_tasks_units_and_tried_first():
     RULES["test of numbers"] = lambda obs: obs[:, 0]
     with pytest.raises(UserError, match="bool"):
         rule(known, "test of numbers")
-    RULES["test that fails"] = lambda obs: obs[:, 7]
-    with pytest.raises(UserError, match="IndexError"):
-        rule(known, "test that fails")
     RULES["test that fails later"] = lambda obs: obs[:3, 0] > 0
     later = rule(known, "test that fails later")
     with pytest.raises(OwnCodeError, match="bool"):

@@ -82,13 +82,6 @@ def test_actions_of_one_reach_the_simulators_bounds_exactly(name):
         assert (sim.data.ctrl <= high).all()
 
 
-def test_rescaling_leaves_tasks_of_range_one_bit_identical():
-    env = ENVS["hopper"].make(seed=0)
-    action = np.array([0.123456, -0.987654, 0.333333], np.float32)
-    env.step(action)
-    np.testing.assert_array_equal(simulator(env).data.ctrl, action.astype(np.float64))
-
-
 def test_the_time_limit_truncates_and_does_not_terminate():
     """In the task where termination is possible, too: a linear controller keeps the pole up."""
     t = ENVS["inverted-pendulum"]

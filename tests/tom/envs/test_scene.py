@@ -3,7 +3,6 @@ import numpy as np
 import pytest
 
 from tom.envs import ENVS, scene
-from tom.errors import UserError
 
 mj = scene._mj
 
@@ -43,8 +42,3 @@ def test_what_is_drawn_of_the_hopper_and_the_ant():
     assert drawn.capsules.size.shape == (12, 2)
     np.testing.assert_allclose(drawn.ellipsoids.size, [[0.25, 0.25, 0.25]])
     assert scene.model("hopper").dt == 0.008
-
-
-def test_a_task_without_a_model_is_the_users_error():
-    with pytest.raises(UserError, match="road-and-rocks"):
-        scene.model("road-and-rocks")

@@ -58,22 +58,6 @@ def test_both_sides_of_every_bound(name, dimension, value, ends):
 
 
 @pytest.mark.parametrize("name", ENVS)
-def test_agrees_with_the_environment_along_random_episodes(name):
-    task = ENVS[name]
-    env = task.make(seed=1)
-    seen, ended = [], []
-    for _ in range(500):
-        obs, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        seen.append(obs)
-        ended.append(terminated)
-        if terminated or truncated:
-            env.reset()
-    ours = task.terminated(torch.as_tensor(np.array(seen), dtype=torch.float32))
-    assert ours.tolist() == ended
-    assert any(ended) == (name != "halfcheetah")
-
-
-@pytest.mark.parametrize("name", ["inverted-pendulum", "hopper", "walker2d", "ant", "humanoid"])
 def test_agrees_with_the_environment_from_scattered_states(name):
     """States thrown widely about, so that every kind of ending occurs in the real simulator."""
     task, rng = ENVS[name], np.random.default_rng(0)
@@ -91,4 +75,4 @@ def test_agrees_with_the_environment_from_scattered_states(name):
         ours = task.terminated(torch.as_tensor(obs, dtype=torch.float32)[None]).item()
         agreed.append((ours, terminated))
     assert all(ours == theirs for ours, theirs in agreed)
-    assert {theirs for _, theirs in agreed} == {True, False}
+    assert {theirs for _, theirs in agreed} == {False, name != "halfcheetah"}
