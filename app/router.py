@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
-from typing import Protocol
 
 import numpy as np
 import streamlit as st
@@ -20,20 +19,7 @@ from app.data import readers
 from app.parts import address
 from app.theme import LEARNER_COLOURS, NEUTRAL, rgb
 from tom.learners import SUBJECT
-from tom.plugins import PAGES
-
-
-class Page(Protocol):
-    """A page: one of ours, or a plug-in's object with the same attributes."""
-
-    @property
-    def TITLE(self) -> str: ...  # noqa: N802
-    @property
-    def ICON(self) -> str: ...  # noqa: N802
-    @property
-    def PATH(self) -> str: ...  # noqa: N802
-    @property
-    def page(self) -> Callable[[], None]: ...
+from tom.plugins.kept import PAGES, Page
 
 
 @dataclass(frozen=True)
@@ -89,7 +75,7 @@ LOGO = (
 )
 
 
-def views() -> tuple[Page, ...]:
+def views() -> tuple[View | Page, ...]:
     """Our pages, then those of plug-ins."""
     return (*VIEWS, *PAGES)
 
@@ -118,7 +104,7 @@ def run() -> None:
     session.drawn()
 
 
-def _listed(view: Page, icon: str, first: bool) -> StreamlitPage:
+def _listed(view: View | Page, icon: str, first: bool) -> StreamlitPage:
     """The page as Streamlit lists it. A plug-in's icon that is none must not stop the others."""
     try:
         return st.Page(view.page, title=view.TITLE, icon=icon, url_path=view.PATH, default=first)
@@ -135,9 +121,9 @@ def draw(page: Callable[[], None]) -> None:
         page()
         return
     from app.data import weighings  # here: a store with runs needs neither
-    from app.parts import empty
+    from app.parts import start
 
     if weighings.datasets(store):
         page()
     else:
-        empty.page()
+        start.first_page()

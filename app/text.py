@@ -7,12 +7,18 @@ from tom.harmless import unlinked
 
 DIGITS = 12
 """maximum number of digits of a number in an address"""
+_UNIT = re.compile(r"(?<=\d) (?=(?:%|ms|s|min|h|kB|MB|GB)(?!\w))")
 _MARKDOWN = re.compile(r"([\\`*_{}\[\]()#+\-.!|~$:<>&])")
+
+
+def unbroken(sentence: str) -> str:
+    """The sentence with numbers that stay beside their unit at the end of a line."""
+    return _UNIT.sub("\u00a0", sentence)
 
 
 def markdown(text: object) -> str:
     """`text` for a Markdown field, shown literally, without links, images, HTML or icons."""
-    return _MARKDOWN.sub(r"\\\1", unlinked(" ".join(str(text).split())))
+    return _MARKDOWN.sub(r"\\\1", unlinked(unbroken(" ".join(str(text).split()))))
 
 
 def plotly(text: object) -> str:

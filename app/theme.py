@@ -37,62 +37,34 @@ LINES = 3.05
 ACCENT: dict[Mode, str] = {"light": "#4a5a8a", "dark": "#6379bd"}
 LINK: dict[Mode, str] = {"light": ACCENT["light"], "dark": "#8fa3e0"}
 
+Scale = list[tuple[float, str]]
+
+
+def _even(*colours: str) -> Scale:
+    """A scale of evenly spaced colours."""
+    return [(i / (len(colours) - 1), colour) for i, colour in enumerate(colours)]
+
+
 # Weight relative to uniform. Rows that count more have stronger colours: pale blue counts less,
 # the page's own tone as much, strong orange more.
-DIVERGING: dict[Mode, list[tuple[float, str]]] = {
-    "light": [
-        (0.0, "#8fb4ea"),
-        (0.25, "#c3d7f3"),
-        (0.5, "#f3f1ed"),
-        (0.75, "#ec9067"),
-        (1.0, "#8c2304"),
-    ],
-    "dark": [
-        (0.0, "#2a5496"),
-        (0.25, "#26406b"),
-        (0.5, "#272b35"),
-        (0.75, "#c8541f"),
-        (1.0, "#ffc48f"),
-    ],
+DIVERGING: dict[Mode, Scale] = {
+    "light": _even("#8fb4ea", "#c3d7f3", "#f3f1ed", "#ec9067", "#8c2304"),
+    "dark": _even("#2a5496", "#26406b", "#272b35", "#c8541f", "#ffc48f"),
 }
 # The same for solid things under light and for points: like areas, but far from the background
 # at every weight.
-COLUMNS: dict[Mode, list[tuple[float, str]]] = {
+COLUMNS: dict[Mode, Scale] = {
     "light": [(0.0, "#5b94e9"), (0.5, "#888e9b"), (0.75, "#dd6722"), (1.0, "#c22c06")],
     "dark": [(0.0, "#3d6fbe"), (0.5, "#687084"), (0.75, "#dd6a2c"), (1.0, "#ffcd9c")],
 }
 # The map of a buffer: the middle is far from the page's background, which means no rows.
-BLUE_TO_ORANGE: dict[Mode, list[tuple[float, str]]] = {
-    "light": [
-        (0.0, "#0b3c8c"),
-        (0.25, "#4f8fe0"),
-        (0.5, "#d3d0cb"),
-        (0.75, "#ee7f3c"),
-        (1.0, "#a82a00"),
-    ],
-    "dark": [
-        (0.0, "#1c57b8"),
-        (0.25, "#4a83d6"),
-        (0.5, "#5a606d"),
-        (0.75, "#e8762f"),
-        (1.0, "#ffd2a1"),
-    ],
+BLUE_TO_ORANGE: dict[Mode, Scale] = {
+    "light": _even("#0b3c8c", "#4f8fe0", "#d3d0cb", "#ee7f3c", "#a82a00"),
+    "dark": _even("#1c57b8", "#4a83d6", "#5a606d", "#e8762f", "#ffd2a1"),
 }
-RISING: dict[Mode, list[tuple[float, str]]] = {
-    "light": [
-        (0.0, "#440154"),
-        (0.25, "#3b528b"),
-        (0.5, "#21918c"),
-        (0.75, "#5ec962"),
-        (1.0, "#d8c916"),
-    ],
-    "dark": [
-        (0.0, "#5a3a8f"),
-        (0.25, "#4a70b5"),
-        (0.5, "#21a18c"),
-        (0.75, "#7ad151"),
-        (1.0, "#fde725"),
-    ],
+RISING: dict[Mode, Scale] = {
+    "light": _even("#440154", "#3b528b", "#21918c", "#5ec962", "#d8c916"),
+    "dark": _even("#5a3a8f", "#4a70b5", "#21a18c", "#7ad151", "#fde725"),
 }
 _RAMP: dict[Mode, tuple[float, float]] = {"light": (0.0, 0.6), "dark": (0.32, 1.0)}
 """the part of viridis that stands out from the page"""
@@ -103,10 +75,8 @@ def ramp(count: int, mode: Mode) -> list[str]:
     from plotly.colors import sample_colorscale  # here: servers need no plotly
 
     at = np.linspace(*_RAMP[mode], count).tolist()
-    return [
-        "#" + "".join(f"{round(255 * float(part)):02x}" for part in colour)
-        for colour in sample_colorscale("Viridis", at, colortype="tuple")
-    ]
+    shades = np.array(sample_colorscale("Viridis", at, colortype="tuple"))
+    return ["#" + bytes(colour).hex() for colour in (255 * shades).round().astype(np.uint8)]
 
 
 def learner_colour(learner: str) -> str:
@@ -139,21 +109,17 @@ def rgb(colour: str) -> tuple[int, int, int]:
 
 def mixed(colour: str, other: str, share: float) -> str:
     """`#rrggbb` with a `share` of another colour in it."""
-    parts = ([int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in (colour, other))
-    return "#" + "".join(f"{round(a + share * (b - a)):02x}" for a, b in zip(*parts, strict=True))
+    parts = zip(rgb(colour), rgb(other), strict=True)
+    return "#" + "".join(f"{round(a + share * (b - a)):02x}" for a, b in parts)
 
 
 @cache
 def shades(colour: str) -> list[str]:
     """The shades of a colour, from dark to pale, that a line may have on both backgrounds."""
     steps = np.linspace(0, 1, 51)
-    dark = [mixed("#000000", colour, share) for share in steps]
-    pale = [mixed(colour, "#ffffff", share) for share in steps[1:]]
-    return [
-        shade
-        for shade in (*dark, *pale)
-        if min(contrast(shade, background) for background in BACKGROUND.values()) >= LINES
-    ]
+    every = [mixed("#000000", colour, share) for share in steps]
+    every += [mixed(colour, "#ffffff", share) for share in steps[1:]]
+    return [one for one in every if min(contrast(one, b) for b in BACKGROUND.values()) >= LINES]
 
 
 def contrast(first: str, second: str) -> float:

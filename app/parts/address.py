@@ -2,9 +2,9 @@
 
 Streamlit's own `bind="query-params"` replaces the address in place, so Back would leave the page.
 An address that the server writes to `st.query_params` is a new entry of the history, except when
-Back itself caused the drawing. So a page reads its choices here (`requested`, or a widget of this
-module), reports the new value of each (`keep`), and at the end of the drawing the router puts all
-of them into the address in one step (`write`).
+Back itself caused the drawing. So a page reads its choices here (`value_of`, or a widget of this
+module), each with the words that the address has for it (`keep`), and at the end of the drawing
+the router puts all of them into the address in one step (`write`).
 
 The choices of `SHARED` belong to all pages: they last when the user goes to another page.
 """
@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import streamlit as st
+from streamlit.delta_generator import DeltaGenerator
 from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 from app import text
@@ -76,6 +77,40 @@ def write() -> None:
         st.query_params.update(changed)  # no words take a choice out
 
 
+def value_of(key: str, read: Callable[[list[str]], T], of: object = None) -> T:
+    """A choice's value: read from the address if it counts, else the session's.
+
+    It is that of no words when `of`, what it belongs to, is something else than it was.
+    """
+    given = requested(key)
+    changed = st.session_state.get(f"{key} of", of) != of
+    if changed and given != st.query_params.get_all(key):
+        given = []
+    st.session_state[f"{key} of"] = of
+    if given is not None:
+        st.session_state[key] = read(given)
+    return st.session_state[key]
+
+
+def words(key: str, among: Callable[[str], bool] = bool) -> list[str]:
+    """A choice without a widget that is its words, without those that are not `among`."""
+    found = [word for word in value_of(key, list) if among(word)]
+    keep(key, found)
+    return found
+
+
+def word(key: str, usual: str = "") -> str:
+    """A choice without a widget that is one word."""
+    found = "".join(value_of(key, list)[-1:]) or usual
+    keep(key, [] if found == usual else [found])
+    return found
+
+
+def whole_number(given: Sequence[str]) -> int | None:
+    """The whole number in the last word of an address; None if there is none."""
+    return text.whole("".join(given[-1:]))
+
+
 def choose_one(
     widget: Callable[..., T | None],
     label: str,
@@ -87,15 +122,21 @@ def choose_one(
 ) -> T:
     """The user's choice of one of `options`: a selectbox, a segmented control or a slider."""
     follow(key, usual)
-    given = requested(key)
-    if given is not None:
-        st.session_state[key] = next(iter(_among(options, given, shown)), usual)
-    elif st.session_state[key] not in options:
+    value_of(key, lambda given: next(iter(_among(options, given, shown)), usual))
+    if st.session_state[key] not in options:
         st.session_state[key] = usual
     picked = widget(label, options, key=key, format_func=shown, **more)
     chosen = usual if picked is None else picked
     keep(key, [] if chosen == usual else [str(chosen)])
     return chosen
+
+
+def choose_part(options: Sequence[str], key: str = "part", label: str = "Part", **more: Any) -> str:
+    """The chosen part of a page, usually the first."""
+    return choose_one(
+        more.pop("place", st).segmented_control, label, options, key, options[0],
+        required=True, label_visibility="collapsed", **more,
+    )  # fmt: skip
 
 
 def choose_many(
@@ -110,11 +151,9 @@ def choose_many(
 
     Of an address no more than its `max_selections` are taken.
     """
-    given = requested(key)
-    if given is not None:
-        found = _among(options, given, shown)[: more.get("max_selections")]
-        st.session_state[key] = found or list(usual)
-    st.session_state[key] = [one for one in st.session_state[key] if one in options]
+    most = more.get("max_selections")
+    held = value_of(key, lambda given: _among(options, given, shown)[:most] or list(usual))
+    st.session_state[key] = [one for one in held if one in options]
     chosen = st.multiselect(
         label, options, key=key, format_func=shown, filter_mode="contains", select_all=False, **more
     )
@@ -123,22 +162,19 @@ def choose_many(
 
 
 def number_input(
-    widget: Callable[..., float | None],
-    label: str,
-    key: str,
-    usual: float,
-    of: object = None,
-    **more: Any,
+    widget: Callable[..., float | None], label: str, key: str, usual: float, of: object, **more: Any
 ) -> float:
     """The number that the user has chosen, until `of`, what it belongs to, is something else."""
+
+    def read(given: list[str]) -> float:
+        try:
+            number = float("".join(given[-1:]))
+        except ValueError:
+            return usual
+        return number if math.isfinite(number) else usual
+
     follow(key, usual)
-    given = requested(key)
-    if given is not None:
-        st.session_state[key] = _finite(given, usual)
-    left = given is None or given != st.query_params.get_all(key)
-    if left and st.session_state.get(f"{key} of") != of:
-        st.session_state[key] = usual
-    st.session_state[f"{key} of"] = of
+    value_of(key, read, of)
     typed = widget(label, key=key, **more)
     number = usual if typed is None else float(typed)
     keep(key, [] if number == usual else [f"{number:.12g}"])
@@ -153,48 +189,31 @@ def follow(key: str, usual: object) -> None:
     st.session_state[f"{key} usual"] = usual
 
 
-def switch(label: str, key: str, *, usual: bool = False, **more: Any) -> bool:
+def switch(label: str, key: str, *, usual: bool = False) -> bool:
     """Whether the user has switched something on: a toggle."""
-    given = requested(key)
-    if given is not None:
-        st.session_state[key] = given[-1].lower() == "true" if given else usual
-    on = st.toggle(label, key=key, **more)
+    value_of(key, lambda given: given[-1].lower() == "true" if given else usual)
+    on = st.toggle(label, key=key)
     keep(key, [] if on == usual else [str(on).lower()])
     return on
 
 
+def fold(label: str, key: str) -> DeltaGenerator:
+    """What the user may open: an expander, which knows whether it is `open`."""
+    value_of(key, lambda given: given[-1:] == ["true"])
+    box = st.expander(label, key=key, on_change="rerun")
+    keep(key, ["true"] if box.open else [])
+    return box
+
+
 def text_input(label: str, key: str, **more: Any) -> str:
     """The text that the user has typed."""
-    given = requested(key)
-    if given is not None:
-        st.session_state[key] = "".join(given[-1:])
+    value_of(key, lambda given: "".join(given[-1:]))
     typed = st.text_input(label, key=key, **more) or ""
     keep(key, [typed] if typed else [])
     return typed
-
-
-def value_of(key: str, read: Callable[[list[str]], T]) -> T:
-    """A choice without a widget: read from the address if it counts, else the page's last value."""
-    given = requested(key)
-    if given is not None:
-        st.session_state[key] = read(given)
-    return st.session_state[key]
-
-
-def whole_number(given: Sequence[str]) -> int | None:
-    """The whole number in the last word of an address; None if there is none."""
-    return text.whole("".join(given[-1:]))
 
 
 def _among(options: Sequence[T], given: Sequence[str], shown: Callable[[T], str]) -> list[T]:
     """The options that an address names by their value or their label, in its order."""
     named = {shown(option): option for option in options} | {str(o): o for o in options}
     return [named[word] for word in given if word in named]
-
-
-def _finite(given: Sequence[str], usual: float) -> float:
-    try:
-        number = float("".join(given[-1:]))
-    except ValueError:
-        return usual
-    return number if math.isfinite(number) else usual

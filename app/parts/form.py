@@ -2,17 +2,14 @@
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import reduce
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 from pydantic import ValidationError
-from pydantic.fields import FieldInfo
 
 from app import text
 from tom import plugins
 from tom.cli.parser import leaf_fields, one_line
-from tom.config import RunConfig
 from tom.errors import UserError
 from tom.learners import others_groups
 from tom.training.presets import config_type, resolve
@@ -23,8 +20,7 @@ GENERAL = "run"
 MOST_SEEDS = 16
 
 
-@dataclass(frozen=True)
-class Setting:
+class Setting(NamedTuple):
     """One value of a configuration; without `choices` it is a text field."""
 
     path: str
@@ -47,7 +43,15 @@ def sections(env: str, learner: str, preset: str) -> dict[str, list[Setting]]:
         group, _, name = path.rpartition(".")
         if group in others_groups(learner):
             continue
-        groups.setdefault(group or GENERAL, []).append(_setting(path, name, info, config))
+        value: Any = reduce(getattr, path.split("."), config)
+        choices: tuple[str, ...] = ()
+        if get_origin(info.annotation) is Literal:
+            choices = tuple(str(choice) for choice in get_args(info.annotation))
+        elif info.annotation is bool:
+            choices = ("true", "false")
+        words = f"{value:g}" if isinstance(value, float) else str(value).lower()
+        field = Setting(path, name.replace("_", " "), info.description or "", words, choices)
+        groups.setdefault(group or GENERAL, []).append(field)
     return groups
 
 
@@ -102,19 +106,3 @@ def shown(words: Sequence[str]) -> str:
 def default_steps(env: str, learner: str, preset: str) -> int:
     """The default number of env steps of a run."""
     return resolve(env, learner, preset).steps
-
-
-def _setting(path: str, name: str, info: FieldInfo, config: RunConfig) -> Setting:
-    value: Any = reduce(getattr, path.split("."), config)
-    kind = info.annotation
-    choices: tuple[str, ...] = ()
-    if get_origin(kind) is Literal:
-        choices = tuple(str(choice) for choice in get_args(kind))
-    elif kind is bool:
-        choices = ("true", "false")
-    words = str(value).lower() if isinstance(value, bool) else _words(value)
-    return Setting(path, name.replace("_", " "), info.description or "", words, choices)
-
-
-def _words(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value).lower()

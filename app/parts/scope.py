@@ -13,15 +13,16 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers
-from app.data.called import short_names, task
+from app.data.called import names, short_names, task
 from app.figures.curves import Look, looks_of
-from app.parts import address, again, frame, runlist
-from app.parts.runlist import Item, Section
+from app.parts import address, widgets
+from app.parts.component import renderer
 from app.theme import learner_label
 from tom.analysis.curves import curve_points
 from tom.analysis.settings import USUAL, Kind, choices, kinds_of
 from tom.config import SAC_ALONE
 from tom.learners import LEARNERS, SUBJECT
+from tom.readable import score
 from tom.record.files import modified
 from tom.record.reader import RunReader
 from tom.spread import spread
@@ -44,6 +45,29 @@ FILTERS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     "preset": ("Preset", "preset", str),
 }
 """by the name in the address: label, attribute of a run, and how its values are shown"""
+CALLS = {
+    "weights": "`run.weights` records them, `tom.weigh_live(run)` computes them",
+    "rows": "`run.transitions` records them",
+    "evaluations": "`run.evaluate` plays them, `run.episode` records yours",
+}
+"""what a loop of one's own calls for its record to have a part"""
+KEYS = {
+    "Space": "play or pause the timeline",
+    "← →": "one fit or evaluation back or on",
+    "/": "search the runs",
+    "?": "this help",
+    "Alt + eye": "show a run or a group alone",
+    "Back": "the view before this one",
+}
+_HELP = "".join(f"<dt><kbd>{key}</kbd></dt><dd>{what}</dd>" for key, what in KEYS.items())
+_FRAME = f"""<div class="frame"><button type="button" class="theme"></button>
+      <button type="button" class="help">Shortcuts</button>
+      <button type="button" class="ask">Notify me when a training ends</button>
+      <dialog aria-label="Shortcuts"><h2>Shortcuts</h2><dl>{_HELP}</dl>
+      <form method="dialog"><button autofocus>Close</button></form></dialog></div>"""
+_LIST = '<div class="runlist" role="group" aria-label="Runs"></div>'
+TOLD = "frame: told"
+"""the ended trainings that this session knows of"""
 
 
 @dataclass(frozen=True)
@@ -97,14 +121,9 @@ class Scope:
         return self.looks[self.kinds[run.run_id]].title
 
     @property
-    def only_seeds_differ(self) -> bool:
-        """Whether the runs of a group differ in nothing but the seed."""
-        return self.by == USUAL
-
-    @property
     def unit(self) -> str:
-        """What the n of a group counts."""
-        return "seeds" if self.only_seeds_differ else "runs"
+        """What the n of a group counts: seeds, if its runs differ in nothing else."""
+        return "seeds" if self.by == USUAL else "runs"
 
     def one(
         self, suits: Callable[[RunReader], bool], usual: Callable[[RunReader], object]
@@ -118,14 +137,27 @@ class Scope:
                 return min(suited, key=usual)  # type: ignore[arg-type]
         return None
 
+    def say_missing(self, shown: RunReader | None, part: str) -> None:
+        """Say what the chosen run of a loop of one's own lacks here, and which call would give it.
+
+        `shown` is the run that the page shows, None if it shows none.
+        """
+        loops = [run for run in self.runs if run.own_loop]
+        asked = [run for run in loops if run.run_id == self.asked]
+        for run in asked or ([] if shown else loops[:1]):
+            if shown is None or shown.run_id != run.run_id:
+                st.caption(f"{text.markdown(run.run_id)} has no {part}: {CALLS[part]}.")
+
 
 def draw() -> Scope:
     """The list of runs, with its filters, in the sidebar."""
     store = session.links().store
     everything = readers.listing(store).runs
     with st.sidebar:
-        of_task = _of_task(everything)
-        _absent(everything)
+        asked = address.word("run")
+        of_task = _of_task(everything, asked)
+        if asked and all(run.run_id != asked for run in everything):
+            _absent(store, asked)
         words = address.text_input(
             "Search", "find", placeholder="search: a regular expression",
             label_visibility="collapsed", icon=":material/search:",
@@ -137,8 +169,8 @@ def draw() -> Scope:
         if not runs:
             st.info("No run passes these filters.", icon=":material/filter_alt_off:")
         _list(scope)
-        frame.draw(everything)
-        again.when_changed(lambda: store_state(store), LOOK_S)
+        _frame(everything)
+        widgets.when_changed(lambda: store_state(store), LOOK_S)
     return scope
 
 
@@ -149,34 +181,28 @@ def store_state(store: str) -> object:
     return modified(Path(store)), now
 
 
-def _of_task(everything: Sequence[RunReader]) -> list[RunReader]:
+def _of_task(everything: Sequence[RunReader], asked: str) -> list[RunReader]:
+    """The runs of the chosen task: usually the chosen run's, else the newest training's of one's
+    own, else that of most examples."""
     if not everything:  # there may be weighed data
         return []
-    counts = {run.env: run for run in reversed(everything)}  # the newest of each
-    own = [run for run in everything if not run.small_copy] or list(everything)
-    first = next((run.env for run in own if run.learner != SAC_ALONE), own[0].env)
-    if not any(not run.small_copy for run in everything):
-        tasks = [run.env for run in everything]
-        first = max(dict.fromkeys(tasks), key=tasks.count)
-    asked = "".join(address.value_of("run", list)[-1:])
+    tasks = [run.env for run in everything]
+    own = [run for run in everything if not run.small_copy]
+    trained = [run.env for run in own if run.learner != SAC_ALONE] or [run.env for run in own]
+    first = trained[0] if own else max(dict.fromkeys(tasks), key=tasks.count)
     first = next((run.env for run in everything if run.run_id == asked), first)
-    options = [*sorted(counts), EVERY_TASK]
     env = address.choose_one(
-        st.selectbox, "Task", options, "task", first,
+        st.selectbox, "Task", [*sorted({*tasks}), EVERY_TASK], "task", first,
         lambda name: name if name == EVERY_TASK else task(name), label_visibility="collapsed",
     )  # fmt: skip
     st.session_state["task shown"] = "" if env == EVERY_TASK else task(env)  # a window's title
     return [run for run in everything if env in (EVERY_TASK, run.env)]
 
 
-def _absent(everything: Sequence[RunReader]) -> None:
-    """Say where the chosen run is, if it is not in the store."""
-    asked = "".join(address.value_of("run", list)[-1:])
-    if not asked or any(run.run_id == asked for run in everything):
-        return
+def _absent(store: str, asked: str) -> None:
+    """Say where the chosen run is, which is not among the runs of the store."""
     from app.data import weighings  # here: few addresses need it
 
-    store = session.links().store
     if any(one.run_id == asked for one in weighings.datasets(store)):
         return
     if asked in readers.trashed(store):
@@ -226,16 +252,12 @@ def _scope(runs: Sequence[RunReader], by: str) -> Scope:
     main = sorted(own or rank, key=lambda kind: rank[kind])[:LINES]
     # Folded: the groups beyond the first, and examples beside runs of one's own.
     folded = {look.title for kind, look in look_of.items() if kind not in main}
-    hide = [word for word in address.value_of("hide", list) if word in there]
-    show = [word for word in address.value_of("show", list) if word in there]
-    address.keep("hide", hide)
-    address.keep("show", show)
-    asked = "".join(address.value_of("run", list)[-1:])
-    address.keep("run", [asked] if asked else [])
+    hide, show = (address.words(key, there.__contains__) for key in ("hide", "show"))
     hidden = folded.difference(show) | set(hide)
     order = sorted(look_of, key=lambda kind: rank[kind])
     return Scope(
-        tuple(runs), by, kinds, look_of, frozenset(hidden), frozenset(folded), asked,
+        tuple(runs), by, kinds, look_of, frozenset(hidden), frozenset(folded),
+        address.word("run"),
         tuple(look_of[kind].title for kind in order),
     )  # fmt: skip
 
@@ -245,58 +267,83 @@ def _rank(run: RunReader, kind: Kind) -> tuple[object, ...]:
     place = order.index(run.learner) if run.learner in order else len(order)
     usual = run.preset == default_preset(run.env, run.learner)
     return (
-        bool(kind.variant),
-        run.learner == SAC_ALONE,
-        not usual,
-        run.learner != SUBJECT,
-        place,
-        kind,
-    )
+        bool(kind.variant), run.learner == SAC_ALONE, not usual, run.learner != SUBJECT, place, kind
+    )  # fmt: skip
 
 
 def _list(scope: Scope) -> None:
-    own = [run for run in scope.runs if not run.small_copy]
-    examples = [run for run in scope.runs if run.small_copy]
+    """The groups and their runs, each with an eye that shows or hides it."""
     named = {run.run_id for run in scope.runs[:LISTED]}
     called = short_names(scope.runs)
     for run in scope.cut_short:
         called[run.run_id] += f", ended at {run.status.env_step:,}: left out"
 
-    def section(title: str, runs: Sequence[RunReader]) -> Section:
-        groups = []
-        by_title = {look.title: (kind, look) for kind, look in scope.looks.items()}
-        for kind, look in (by_title[title] for title in scope.order):
-            mine = [r for r in runs if scope.kinds[r.run_id] == kind and r.run_id in named]
-            items = [
-                Item(
-                    run.run_id, called[run.run_id], run.shown, _returns(run),
-                    run.run_id in scope.hidden, run.run_id == scope.asked,
-                )
-                for run in sorted(mine, key=lambda run: (run.env, run.seed))
-            ]  # fmt: skip
-            if items:
-                hidden, folded = look.title in scope.hidden, look.title in scope.folded
-                groups.append(
-                    runlist.Group(look.title, look.colour, look.core, hidden, folded, items)
-                )
-        groups.sort(key=lambda group: group.folded)
-        left = sum(run.run_id not in named for run in runs)
-        return Section(title, groups, f"{left:,} more runs: search or filter" if left else "")
+    def group(look: Look, runs: Sequence[RunReader]) -> dict[str, object]:
+        items = [
+            {
+                "run_id": run.run_id, "name": called[run.run_id], "state": run.shown,
+                "returns": _returns(run), "hidden": run.run_id in scope.hidden,
+                "chosen": run.run_id == scope.asked,
+            }
+            for run in sorted(runs, key=lambda run: (run.env, run.seed))
+        ]  # fmt: skip
+        return {
+            "title": look.title, "colour": look.colour, "core": look.core, "runs": items,
+            "hidden": look.title in scope.hidden, "folded": look.title in scope.folded,
+        }  # fmt: skip
 
-    sections = [section("Your runs", own)] if own else []
-    sections += [section("Examples", examples)] if examples else []
-    runlist.draw(
-        sections,
-        toggled=lambda word: toggle(scope, word),
-        alone=lambda word: _alone(scope, word),
-        chosen=choose,
-        everything=lambda: _set(hide=(), show=scope.folded),
+    looks = {look.title: look for look in scope.looks.values()}
+    sections = []
+    for title, example in (("Your runs", False), ("Examples", True)):
+        of_section = [run for run in scope.runs if run.small_copy == example]
+        listed: dict[str, list[RunReader]] = {name: [] for name in scope.order}
+        for run in of_section:
+            if run.run_id in named:
+                listed[scope.title(run)].append(run)
+        groups = [group(looks[name], runs) for name, runs in listed.items() if runs]
+        groups.sort(key=lambda group: bool(group["folded"]))
+        left = sum(run.run_id not in named for run in of_section)
+        more = f"{left:,} more runs: search or filter" if left else ""
+        if of_section:
+            sections.append({"title": title, "groups": groups, "more": more})
+
+    def on(event: str, act: Callable[..., None]) -> Callable[[], None]:
+        def told() -> None:
+            values = st.session_state["runlist"].get(event)
+            if values is not None:
+                act(*values)
+
+        return told
+
+    renderer("runlist", _LIST)(
+        key="runlist",
+        data={"sections": sections},
+        on_toggled_change=on("toggled", lambda word: toggle(scope, word)),
+        on_alone_change=on("alone", lambda word: _alone(scope, word)),
+        on_chosen_change=on("chosen", lambda run_id: st.session_state.update(run=[run_id])),
+        on_everything_change=on("everything", lambda: _set(hide=(), show=scope.folded)),
     )
 
 
-def choose(run_id: str) -> None:
-    """Choose a run: the one that pages of a single run show from the next drawing on."""
-    st.session_state["run"] = [run_id]
+def _frame(runs: Sequence[RunReader]) -> None:
+    """The buttons below the list, the shortcuts, and notices of trainings that have ended."""
+    called = names(runs)
+    ended = [
+        {
+            "id": f"{run.run_id} {run.status.state}",
+            "title": f"{called[run.run_id]}: {run.shown}",
+            "body": run.status.reason or f"last return {score(run.status.last_return)}",
+        }
+        for run in runs
+        if not run.status.alive and not run.small_copy
+    ]
+    before = st.session_state.get(TOLD)
+    for one in ended:
+        if before is not None and one["id"] not in before:
+            st.toast(f"**{text.markdown(one['title'])}**  \n{text.markdown(one['body'])}")
+    st.session_state[TOLD] = {one["id"] for one in ended}
+    mode = "" if session.links().theme else session.mode()
+    renderer("frame", _FRAME)(key="page frame", data={"mode": mode, "ended": ended})
 
 
 def toggle(scope: Scope, word: str) -> None:

@@ -1,36 +1,93 @@
-"""A form that starts trainings, made from the configuration and checked before the start."""
+"""Trainings: how to begin, a form that starts them, and a card for each that runs or has ended."""
 
+import html
 import os
-from collections.abc import Iterable, Sequence
+import shlex
+import time
+from collections.abc import Sequence
 from contextlib import suppress
+from pathlib import Path
 
 import streamlit as st
+from streamlit.delta_generator import DeltaGenerator
 
 from app import session, text
-from app.data import trainings
+from app.data import readers, trainings, weighings
 from app.data.trainings import Started
-from app.parts import address, form
-from app.theme import learner_label
+from app.parts import address, form, widgets
+from app.theme import learner_colour, learner_label
+from tom import readable
+from tom.analysis.settings import changed, telling_presets
 from tom.envs import ENV_NAMES, OTHERS
 from tom.errors import UserError
 from tom.learners import SUBJECT
-from tom.record.reader import RunReader
+from tom.record.reader import SMALL_COPY, RunReader
+from tom.record.store import Store
 from tom.training.presets import PRESETS, default_preset, learners
 
-COLUMNS = 4
+EXAMPLES = Path(__file__).parents[2] / "runs"
+"""the gallery, where the studio runs from a clone"""
+REFRESH_S = 2
+"""seconds between two drawings while a run trains, or one that was started here has not begun"""
+RECENT_S, MOST = 900, 6
+"""seconds for which a run that has ended is still shown, and the number of those that are"""
+IN_ROW, FIELDS_IN_ROW = 3, 4
+NAMED = 3
+"""maximum number of changed settings that a card names"""
 FORGET = 6
 """trainings started here that are remembered after their end, and failures that are shown"""
-
 FOLD, OPENED = "starting", "start opened"
+_STATE_TINTS = {"running": "#1f9d55", "failed": "#d2383f", "dead": "#c77700"}
+PLAY = ":material/play_arrow:"
 
 
-def panel() -> None:
+def first_page() -> None:
+    """How to begin: a first comparison, a training of one's own, the examples."""
+    store = session.links().store
+    st.header("Which data does a learned model pay attention to?", anchor=False)
+    st.write(
+        "This studio shows it while the model trains, and whether it helps. Nothing is recorded "
+        "in this store yet."
+    )
+    left, right = st.columns(2)
+    with left, st.container(border=True):
+        st.subheader("Start a first comparison", anchor=False)
+        st.write("TOM and MLE on inverted pendulum, one after the other: about three minutes.")
+        if why := session.read_only_reason():
+            st.caption(why)
+        elif st.button("Start it", type="primary", icon=PLAY):
+            words = ["train", "--env", "inverted-pendulum", "--learner", "tom", "mle"]
+            trainings.start([*words, "--seeds", "0", "--steps", "2500", "--store", store])
+    with right, st.container(border=True):
+        st.subheader("Or in a terminal", anchor=False)
+        option = f" --store {shlex.quote(store)}"
+        st.code(f"tom demo --headless{option}", language="bash")
+        st.code(f"tom train --env hopper --learner tom{option}", language="bash")
+        if EXAMPLES.is_dir() and EXAMPLES.resolve() != Path(store).resolve():
+            st.write("Look at finished runs of five robots first:")
+            st.code(f"tom studio --store {shlex.quote(str(EXAMPLES))}", language="bash")
+    st.caption(f"Store: {text.markdown(store)}")
+    widgets.show_store_problems(readers.listing(store).problems)
+    widgets.when_changed(lambda: bool(readers.listing(store).runs or weighings.datasets(store)), 2)
+
+
+def draw() -> None:
+    """The form, and a card for each training that runs or has just ended."""
+    _form()
+    runs = readers.listing(session.links().store).runs
+    waits = any(run.status.alive for run in runs) or any(
+        begun.process.poll() is None and begun.process.pid not in {run.status.pid for run in runs}
+        for begun in started()
+    )
+    st.fragment(_cards, run_every=REFRESH_S if waits else None)()
+
+
+def _form() -> None:
     """Environment, learner, seeds, steps, preset; all other settings are folded.
 
     The fields are made when the form is first opened, and then keep their values.
     """
-    icon = ":material/play_arrow:"
-    fold = st.expander("Start a training", icon=icon, key=FOLD, on_change="rerun")
+    fold = st.expander("Start a training", icon=PLAY, key=FOLD, on_change="rerun")
     if not (fold.open or st.session_state.get(OPENED)):
         return
     st.session_state[OPENED] = True
@@ -48,13 +105,11 @@ def panel() -> None:
         st.session_state.setdefault("start preset", own)
         address.follow("start preset", own)
         preset = row[2].selectbox(
-            "Preset",
-            list(PRESETS),
-            key="start preset",
+            "Preset", list(PRESETS), key="start preset",
             help="paper: the paper's table (appendix C.1); mended: the same with TOM's objective "
             "mended; released: with the released code's choices; mbpo: Janner's MBPO; smoke: small "
             "and quick",
-        )
+        )  # fmt: skip
         seeds = row[3].text_input(
             "Seeds", "0", key="start seeds", help="one training each: 0, or 0-2, or 0, 3"
         )
@@ -68,110 +123,204 @@ def panel() -> None:
         )
         given = {"steps": str(steps)} if steps != usual else {}
         with st.expander("More settings: empty means the preset's value"):
-            given |= _settings(env, learner, preset)
-        _begin(env, learner, preset, seeds, given)
+            given |= _settings(form.sections(env, learner, preset))
+        try:
+            store = session.links().store
+            commands = [
+                form.command(env, learner, preset, seed, given, store) for seed in form.seeds(seeds)
+            ]
+        except UserError as error:
+            st.error(text.markdown(error), icon=":material/error:")
+            return
+        _begin(commands)
 
 
-def _settings(env: str, learner: str, preset: str) -> dict[str, str]:
+def _settings(groups: dict[str, list[form.Setting]]) -> dict[str, str]:
     """The changed settings by path."""
     given: dict[str, str] = {}
-    groups = form.sections(env, learner, preset)
     for tab, settings in zip(st.tabs(list(groups)), groups.values(), strict=True):
-        with tab:
-            for first in range(0, len(settings), COLUMNS):
-                row = st.columns(COLUMNS)
-                for column, setting in zip(row, settings[first : first + COLUMNS], strict=False):
-                    with column:
-                        words = _field(setting)
-                    if words and words != setting.default:
-                        given[setting.path] = words
+        row: list[DeltaGenerator] = []
+        for i, setting in enumerate(settings):
+            if i % FIELDS_IN_ROW == 0:
+                row = tab.columns(FIELDS_IN_ROW)
+            path, label, words, default, choices = setting
+            field = {"key": f"start set {path}", "help": text.markdown(words) or None}
+            column = row[i % FIELDS_IN_ROW]
+            typed = (
+                column.selectbox(label, choices, index=None, placeholder=default, **field)
+                if choices
+                else column.text_input(label, placeholder=default, **field)
+            )
+            chosen = (typed or "").strip()
+            if chosen and chosen != default:
+                given[path] = chosen
     return given
 
 
-def _field(setting: form.Setting) -> str:
-    key = f"start set {setting.path}"
-    words = text.markdown(setting.help) or None
-    if setting.choices:
-        chosen = st.selectbox(
-            setting.label,
-            setting.choices,
-            index=None,
-            placeholder=setting.default,
-            key=key,
-            help=words,
-        )
-        return chosen or ""
-    typed = st.text_input(setting.label, placeholder=setting.default, key=key, help=words)
-    return (typed or "").strip()
-
-
-def _begin(env: str, learner: str, preset: str, seeds: str, given: dict[str, str]) -> None:
-    try:
-        store = session.links().store
-        commands = [
-            form.command(env, learner, preset, seed, given, store) for seed in form.seeds(seeds)
-        ]
-    except UserError as error:
-        st.error(text.markdown(error), icon=":material/error:")
-        return
+def _begin(commands: Sequence[Sequence[str]]) -> None:
+    """The button that starts these trainings, and the first one's command."""
     many = len(commands) > 1
     left, right = st.columns([1, 4], vertical_alignment="center")
-    if left.button(
-        f"Start {len(commands)} trainings" if many else "Start",
-        type="primary",
-        icon=":material/play_arrow:",
-        key="start",
-    ):
-        _remember(trainings.start(words) for words in commands)
-        st.toast("Started: it appears below in a few seconds.", icon=":material/play_arrow:")
-    with right:
-        st.code(form.shown(commands[0]), language="bash", wrap_lines=True)
+    label = f"Start {len(commands)} trainings" if many else "Start"
+    if left.button(label, type="primary", icon=PLAY, key="start"):
+        begun = started()
+        begun.extend(trainings.start(words) for words in commands)
+        for old in begun[:-FORGET]:
+            if old.process.poll() is not None:
+                with suppress(ValueError):  # another page has just forgotten it
+                    begun.remove(old)
+        st.toast("Started: it appears below in a few seconds.", icon=PLAY)
+    right.code(form.shown(commands[0]), language="bash", wrap_lines=True)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    many_words = f" The others differ in the seed. {len(commands)} trainings on {cores} cores."
-    st.caption(
-        "Runs on this machine, and goes on when the studio is closed."
-        + (many_words if many else "")
-    )
+    others = f" The others differ in the seed. {len(commands)} trainings on {cores} cores."
+    st.caption("Runs on this machine, and goes on when the studio is closed." + others * many)
 
 
-def failures(runs: Sequence[RunReader]) -> None:
-    """Trainings started here that ended before they had a run, with their output."""
-    for begun in failed(runs)[-FORGET:]:
+@st.cache_resource(show_spinner=False)
+def started() -> list[Started]:
+    """The trainings started here, one list for all pages of this studio."""
+    return []
+
+
+def _cards() -> None:
+    runs = readers.listing(session.links().store).runs
+    writers = {run.status.pid for run in runs}
+    for begun in [one for one in started() if one.failed(writers)][-FORGET:]:
         st.error("A training that was started here did not begin:", icon=":material/error:")
         st.code(f"$ {form.shown(begun.words)}\n{begun.tail()}", language=None)
+    alive = [run for run in runs if run.status.alive]
+    shown = [*alive, *[run for run in runs if just_ended(run)][:MOST]]
+    width = 2 if len(shown) == 4 else min(len(shown), IN_ROW)
+    telling = telling_presets(runs)
+    preset = {run.run_id: words for run, words in zip(runs, telling, strict=True)}
+    row: list[DeltaGenerator] = []
+    for i, run in enumerate(shown):
+        if i % width == 0:
+            row = st.columns(width)
+        with row[i % width], st.container(border=True, gap="small"):
+            _card(run, preset[run.run_id])
 
 
-def failed(runs: Sequence[RunReader]) -> list[Started]:
-    """Trainings started here that ended before they had one of the `runs`, all those known."""
-    writers = {run.status.pid for run in runs}
-    return [begun for begun in _started() if begun.failed(writers)]
+def just_ended(run: RunReader) -> bool:
+    """Whether a run has ended a short while ago."""
+    recent = time.time() - run.status.heartbeat < RECENT_S
+    return recent and not run.status.alive and not run.small_copy
 
 
-def waits(runs: Sequence[RunReader]) -> bool:
-    """Whether a training that was started here has none of the `runs`, all those known, yet."""
-    writers = {run.status.pid for run in runs}
-    return any(
-        begun.process.poll() is None and begun.process.pid not in writers for begun in _started()
-    )
+def _card(run: RunReader, preset: str) -> None:
+    """Name and state, progress, and the main numbers.
+
+    The `preset` tells it from other runs of its learner.
+    """
+    status = run.status
+    if status.alive and session.may_act() and not run.own_loop:
+        left, right = st.columns([4, 1], vertical_alignment="center", gap="small")
+        left.html(head(run, preset))
+        with right:
+            _stop(run)
+    else:
+        _asked().discard(run.run_id)
+        st.html(head(run, preset))
+    st.progress(status.share, text=text.markdown(progress_line(run)))
+    numbers = figures(run)
+    for column, (label, value) in zip(st.columns(len(numbers), gap="small"), numbers, strict=True):
+        column.metric(label, value)
+    # The run's record does not know the folder that this studio's terminal would need to be in.
+    reason = status.reason.replace(f"tom train --resume {run.run_id}", resume(run))
+    for words in (settings_line(run), reason, *status.warnings):
+        if words:
+            st.caption(text.markdown(words))
+    if log := log_of(run):
+        with st.expander("Last lines of its output", key=f"log {run.run_id}", on_change="rerun"):
+            st.code(log, language=None)
+
+
+def figures(run: RunReader) -> list[tuple[str, str]]:
+    """The returns, and the speed of a training run, which is unknown during a fit."""
+    status = run.status
+    memory = trainings.memory(status.pid, run.path) if status.alive else None
+    numbers = [
+        ("last return", readable.score(status.last_return)),
+        ("best return", readable.score(status.best_return)),
+    ]
+    if status.alive:
+        numbers.append(("steps / s", readable.number(status.env_steps_per_s or None)))
+        numbers.append(("ETA", readable.duration(status.eta_s)))
+        numbers.append(("memory", readable.size(memory) if memory else readable.UNKNOWN))
+    return numbers
 
 
 def log_of(run: RunReader) -> str:
     """The last lines of a training's output, if it was started here; else empty."""
-    begun = [one for one in _started() if one.process.pid == run.status.pid]
+    begun = [one for one in started() if one.process.pid == run.status.pid]
     return begun[-1].tail() if begun else ""
 
 
-def _remember(more: Iterable[Started]) -> None:
-    """Add trainings; forget those before the last `FORGET` that have ended, with their output."""
-    begun = _started()
-    begun.extend(more)
-    for old in begun[:-FORGET]:
-        if old.process.poll() is not None:
-            with suppress(ValueError):  # another page has just forgotten it
-                begun.remove(old)
+def _stop(run: RunReader) -> None:
+    if run.run_id in _asked():
+        st.caption("stopping", help="it ends after its step and writes a checkpoint")
+        return
+    # on_change: it stays open when the page is drawn again
+    with st.popover("Stop", key=f"stop {run.run_id}", width="stretch", on_change="rerun"):
+        st.write("The training ends after this step and writes a checkpoint. To go on with it:")
+        st.code(resume(run), language="bash")
+        if st.button("Stop this training", key=f"stop {run.run_id} now", type="primary"):
+            try:
+                trainings.stop(Store(session.links().store), run.run_id)
+                _asked().add(run.run_id)
+                st.rerun(scope="fragment")
+            except UserError as error:
+                st.error(text.markdown(error))
 
 
-@st.cache_resource(show_spinner=False)
-def _started() -> list[Started]:
-    """The started trainings, one list for all pages of this studio."""
-    return []
+def resume(run: RunReader) -> str:
+    """The command that resumes a run, for a terminal in any folder."""
+    return shlex.join(["tom", "train", "--resume", run.run_id, "--store", session.links().store])
+
+
+def _asked() -> set[str]:
+    """The runs that this user has asked to stop and that have not ended yet."""
+    return st.session_state.setdefault("asked to stop", set())
+
+
+def progress_line(run: RunReader) -> str:
+    """The progress of the run, the last sign of a dead one, and whether it is a small copy."""
+    status = run.status
+    steps = f"{status.env_step:,} of {status.total:,} steps"
+    if run.small_copy:
+        return f"{steps} · {SMALL_COPY}"
+    if status.alive:
+        return f"{steps} · {status.phase}" if status.phase else steps
+    if status.shown == "dead":
+        return f"{steps} · no sign of life for {readable.duration(time.time() - status.heartbeat)}"
+    return steps
+
+
+def settings_line(run: RunReader) -> str:
+    """The settings in which the run differs from its preset; empty if that is not known here."""
+    try:
+        new = changed(run)
+    except UserError:
+        return ""
+    words = [f"{path} {value}" for path, value in new.items()]
+    more = [f"and {len(words) - NAMED} more"] if len(words) > NAMED else []
+    return ", ".join(words[:NAMED] + more)
+
+
+def head(run: RunReader, preset: str = "") -> str:
+    """The card's first line as HTML; everything that came from a file is escaped."""
+    shown = run.status.shown
+    tint = _STATE_TINTS.get(shown, "inherit")
+    learner = html.escape(" ".join(filter(None, (learner_label(run.learner), preset))))
+    called = f" · {run.labels.name}" if run.labels.name else ""
+    about = html.escape(f"{run.env} · seed {run.seed}{called}")
+    return (
+        '<div style="display:flex;flex-wrap:wrap;align-items:center;gap:0 .5rem;min-width:0">'
+        f'<span style="width:.75rem;height:.75rem;border-radius:50%;flex:none;'
+        f'background:{learner_colour(run.learner)}"></span>'
+        f'<b style="white-space:nowrap">{learner}</b>'
+        '<span style="opacity:.7;overflow:hidden;text-overflow:ellipsis;white-space:nowrap" '
+        f'title="{html.escape(run.run_id, quote=True)}">{about}</span>'
+        f'<span style="margin-left:auto;flex:none;color:{tint};border:1px solid;'
+        f'border-radius:1rem;padding:0 .55rem;font-size:.8em">{html.escape(shown)}</span></div>'
+    )

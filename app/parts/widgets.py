@@ -1,12 +1,14 @@
-"""Small widgets that several pages use."""
+"""What several pages show: viewers, links, downloads, and words in place of what is missing."""
 
 from collections.abc import Callable, Mapping, Sequence
 
 import pandas as pd
 import streamlit as st
 
-from app import text
+from app import session, text
 from app.data import readers
+from app.links import LIVE
+from app.scenes.control import Choice, Selection, tell
 from tom.analysis.curves import Curve, curve_points
 from tom.harmless import as_csv
 from tom.learners import LEARNERS, SUBJECT
@@ -14,6 +16,8 @@ from tom.record.reader import RunReader
 
 Files = Mapping[str, tuple[Callable[[], pd.DataFrame], str]]
 """tables by their label: how each is made, and the end of its file's name"""
+EVALUATIONS = "evaluations"
+"""what a small copy lacks that has no replay"""
 
 
 def curve(run: RunReader, metric: str) -> Curve:
@@ -31,9 +35,14 @@ def telling(run: RunReader) -> tuple[object, ...]:
     )  # fmt: skip
 
 
+def uniform(run: RunReader) -> bool:
+    """Whether the run's learner counts every transition the same."""
+    return run.learner in LEARNERS and LEARNERS[run.learner].uniform
+
+
 def differs(run: RunReader) -> bool:
     """Whether the weights of the run's last fit are not uniform."""
-    if run.learner in LEARNERS and LEARNERS[run.learner].uniform:
+    if uniform(run):
         return False  # known without reading
     profiles = readers.profiles(readers.weighed(run))
     return len(profiles.ess) > 0 and bool(profiles.ess[-1] < 0.99)
@@ -53,6 +62,38 @@ def show_store_problems(problems: Sequence[str]) -> None:
         with st.expander(f"{len(problems)} in this store could not be read as a run"):
             for problem in problems:
                 st.text(problem)
+
+
+def left_out(run: RunReader, *parts: str) -> bool:
+    """Show which of these parts a small copy lacks; returns False if none.
+
+    One that lacks `other snapshots` may lack all of them.
+    """
+    names = [name for part in parts for name in (part, part.removeprefix("other "))]
+    lacking = [name for name in dict.fromkeys(names) if name in run.left_out]
+    if not lacking:
+        return False
+    recorded = len(curve(run, "eval/return").step)
+    counts = {
+        "other evaluations": (len(run.evaluation_steps()), recorded, "evaluations"),
+        "other snapshots": (len(run.snapshot_steps()), len(readers.profiles(run).env_step),
+                            "fits' single weights"),
+    }  # fmt: skip
+    kept = [f"{n} of {of} {name}" for key, (n, of, name) in counts.items() if key in lacking]
+    others = [name for name in lacking if name not in counts]
+    words = [f"Examples keep {' and '.join(kept)}."] if kept else []
+    words += [f"Left out of this example: {', '.join(others)}."] if others else []
+    st.caption(" ".join(words))
+    return True
+
+
+def left_out_of_all(runs: Sequence[RunReader], part: str) -> bool:
+    """Show how many small copies lack a part; returns False if none does."""
+    lacking = sum(part in run.left_out for run in runs)
+    if lacking:
+        copies = "the small copy" if lacking == 1 else f"the {lacking} small copies"
+        st.info(f"Left out of {copies} in this store: {part}.", icon=":material/content_cut:")
+    return lacking > 0
 
 
 def link_to(path: str, label: str, **choices: str) -> None:
@@ -75,5 +116,53 @@ def downloads(files: Files, name: str) -> None:
                 "text/csv",
                 icon=":material/download:",
                 on_click="ignore",
-                key=f"download {label}",
+                key=f"download {name} {suffix}",
             )
+
+
+def when_changed(state: Callable[[], object], every_s: float) -> None:
+    """Draw the whole page again when `state`, looked at every few seconds, is another than now."""
+    seen: dict[str, object] = {}
+
+    @st.fragment(run_every=every_s)
+    def look() -> None:
+        now = state()
+        if now != seen.setdefault("first", now):
+            st.rerun()
+
+    look()
+
+
+def stage(choice: Choice, height: int, part: str = "", *, compact: bool = False) -> None:
+    """Show `choice` in 3D. A rerun of the page does not reload the frame.
+
+    A page with several frames gives each a different `part`. In a `compact` frame the panel is
+    small and closed at first, because it would cover the scene.
+    """
+    links = session.links()
+    if not links.folder:
+        st.caption("The 3D scene runs when the studio is started with `tom studio`.")
+        return
+    client = f"{session.client()}{part}"
+    try:
+        tell(links.control, client, Selection(choice, session.mode(), compact))
+    except OSError:
+        said = links.scenes_log.read_text(errors="replace").strip().rpartition("\n")[2]
+        st.warning(
+            f"The 3D server does not answer; it is started again by itself. {text.markdown(said)}"
+        )
+    st.iframe(links.viser(client, session.mode()), height=height)
+
+
+def rerun(run: RunReader, height: int, name: str = "") -> None:
+    """Rerun's viewer with a recording, by default all of a run's, or live while it trains.
+
+    A rerun of the page does not reload it.
+    """
+    links = session.links()
+    if not links.folder:
+        st.caption("The Rerun viewer runs when the studio is started with `tom studio`.")
+        return
+    recorded = readers.recordings(run)
+    every = [LIVE] if run.status.alive or not recorded else recorded
+    st.iframe(links.rerun(run.run_id, [name] if name else every, session.mode()), height=height)

@@ -1,23 +1,23 @@
 """Findings: a card for each question, from the results of `tom reproduce`, and each whole."""
 
+from collections.abc import Sequence
+from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
 import pandas as pd
 import streamlit as st
+from streamlit.delta_generator import DeltaGenerator
 
 from app import glossary, session, text
-from app.data import studies, trainings
-from app.data.every_way import QUESTION, every_ways
+from app.data import studies
+from app.data.every_way import QUESTION, EveryWay, every_ways
 from app.data.studies import QUESTIONS, Study
-from app.data.trainings import Started
-from app.data.verdicts import verdict
+from app.data.verdicts import Verdict, verdict
 from app.figures.statistics import intervals, two_axes
-from app.parts import address, form
+from app.parts import address, form, jobs, widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
-from tom.harmless import as_csv
-from tom.studies.study import FOLDER as CASES
 
 EVERY = "Every question"
 SIGNS = {"Yes": ":material/check_circle:", "No": ":material/cancel:",
@@ -35,48 +35,49 @@ def page(scope: Scope) -> None:
     listed = studies.listing(*studies.folders(session.links().store))
     by_name = {study.name: study for study in listed}
     if listed:
-        chosen = address.choose_one(
-            st.segmented_control, "Study", [EVERY, *by_name], "study", EVERY, required=True,
-            label_visibility="collapsed",
-        )  # fmt: skip
+        chosen = address.choose_part([EVERY, *by_name], "study", "Study")
         if chosen == EVERY:
-            _every_way(listed)
-            grid = st.container(horizontal=True, key="grid")
-            for study in listed:
-                with grid, st.container(border=True, height="stretch"):
-                    _card(study)
+            _cards(listed)
         else:
             _whole(by_name[chosen])
     else:
         st.info(f"No study has been computed yet: none lies in `{studies.FOLDER.absolute()}`.")
-    _missing(set(by_name))
+    others = [name for name in QUESTIONS if name not in by_name]
+    if others:
+        with st.expander("Studies that have not been computed here", expanded=not listed):
+            _offer(others)
 
 
-def _every_way(listed: list[Study]) -> None:
-    """All ways of weighing by their distance and their model's error, where both are known."""
+def _cards(listed: Sequence[Study]) -> None:
+    """All ways of weighing by their distance and their model's error, where both are known; then
+    each study."""
     for ending, found in every_ways(listed).items():
         with st.container(border=True):
             st.header(QUESTION, anchor=False)
             if ending:
                 st.caption(text.markdown(f"footprint{ending}, capacity{ending}"))
-            _answer(found.word, found.sentence)
-            chart(
-                two_axes(found.panels, 430, f"every way{ending}"), f"every way{ending}",
-                "every way of weighing: distance to the policy, and its model's error",
-                caption=f"{QUESTION} {found.sentence} {found.caption}",
-            )  # fmt: skip
-            st.caption(text.markdown(found.caption), width=WIDE)
-            _against(found.against)
+            key = f"every way{ending}"
+            label = "every way of weighing: distance to the policy, and its model's error"
+            with _judged(found):
+                chart(
+                    two_axes(found.panels, 430, key), key, label,
+                    caption=f"{QUESTION} {found.sentence} {found.caption}",
+                )  # fmt: skip
+                st.caption(text.markdown(found.caption), width=WIDE)
+    grid = st.container(horizontal=True, key="grid")
+    for study in listed:
+        with grid, st.container(border=True, height="stretch"):
+            _card(study)
 
 
-def _answer(word: str, sentence: str) -> None:
-    st.markdown(f"### {SIGNS[word]} {word}")
-    st.markdown(glossary.linked(text.markdown(sentence)))
-
-
-def _against(words: str) -> None:
-    if words:
-        st.markdown(f"**Against it.** {glossary.linked(text.markdown(words))}")
+def _judged(found: Verdict | EveryWay) -> DeltaGenerator:
+    """A verdict in a word and a sentence, a place for its figure, and what speaks against it."""
+    st.markdown(f"### {SIGNS[found.word]} {found.word}")
+    st.markdown(glossary.linked(text.markdown(found.sentence)))
+    place = st.container()
+    if found.against:
+        st.markdown(f"**Against it.** {glossary.linked(text.markdown(found.against))}")
+    return place
 
 
 def _card(study: Study) -> None:
@@ -85,28 +86,27 @@ def _card(study: Study) -> None:
     A study without a rule for a verdict has the first sentence of its report; without a figure of
     the verdict, its own picture.
     """
-    st.header(text.markdown(study.question or study.name), anchor=False)
-    if study.question and study.name != study.verb:
-        st.caption(text.markdown(study.name))
     found = verdict(study)
+    asked = study.question
+    st.header(text.markdown(asked or study.name), anchor=False)
+    if asked and study.name != study.verb:
+        st.caption(text.markdown(study.name))
+
     if found is not None:
-        _answer(found.word, found.sentence)
-    elif study.findings:
-        st.markdown(f"**{text.markdown(study.findings[0])}**")
+        place = _judged(found)
+    else:
+        if study.findings:
+            st.markdown(f"**{text.markdown(study.findings[0])}**")
+        place = st.container()
     if found is not None and found.points:
         height = 110 + 22 * len(found.points)
         figure = intervals(found.points, found.axis, found.level, height, study.name)
-        caption = f"{study.question} {found.sentence} Bars: 95 % intervals."
-        chart(figure, f"verdict {study.name}", f"{study.question}: {found.axis}", caption=caption)
-    else:
-        for figure in study.figures[:1]:
-            if studies.is_picture(figure):
-                st.image(str(figure), alt=f"{figure.stem}: {study.question or study.name}")
-    if found is not None:
-        _against(found.against)
-    if "command" in study.origin:
-        with st.expander("The command"):
-            st.code(study.origin["command"], language="bash", wrap_lines=True)
+        caption = f"{asked} {found.sentence} Bars: 95 % intervals."
+        with place:
+            chart(figure, f"verdict {study.name}", f"{asked}: {found.axis}", caption=caption)
+    elif study.figures and studies.is_picture(study.figures[0]):
+        place.image(str(study.figures[0]), alt=_alt(study, study.figures[0]))
+    _command(study, "The command")
     st.button(
         "The whole study", key=f"open {study.name}",
         on_click=lambda: st.session_state.update(study=study.name),
@@ -114,24 +114,13 @@ def _card(study: Study) -> None:
 
 
 def _whole(study: Study) -> None:
+    """The paper's claim, the result, the command, and all figures and tables."""
     head = st.columns([5, 1], vertical_alignment="center")
-    head[0].header(text.markdown(study.question or study.name), anchor=False)
+    asked = study.question
+    head[0].header(text.markdown(asked or study.name), anchor=False)
     if study.report is not None:
         where = f"reports/{quote(study.name)}"
         head[1].link_button("Whole report", where, icon=":material/open_in_new:", width="stretch")
-    _said(study)
-    for figure in study.figures:
-        with st.container(border=True):
-            if studies.is_picture(figure):
-                st.image(str(figure), alt=f"{figure.stem}: {study.question or study.name}")
-            else:
-                st.warning(f"{text.markdown(figure.name)} cannot be read.")
-    for path in study.tables:
-        _table(study, path.name, studies.table(path))
-
-
-def _said(study: Study) -> None:
-    """The paper's claim, the result, and the command."""
     left, right = st.columns([2, 3])
     if study.claim:
         with left, st.container(border=True):
@@ -140,25 +129,38 @@ def _said(study: Study) -> None:
         with right, st.container(border=True):
             lines = "".join(f"\n- {text.markdown(line)}" for line in study.findings)
             st.markdown(f"**Found here.**\n{lines}")
+    _command(study, "The command that made it")
     if "command" in study.origin:
-        with st.expander("The command that made it"):
-            st.code(study.origin["command"], language="bash", wrap_lines=True)
         made = [study.origin[name] for name in ("n", "made", "machine") if name in study.origin]
         st.caption(text.markdown(" · ".join(made)))
+    for figure in study.figures:
+        with st.container(border=True):
+            if studies.is_picture(figure):
+                st.image(str(figure), alt=_alt(study, figure))
+            else:
+                st.warning(f"{text.markdown(figure.name)} cannot be read.")
+    for path in study.tables:
+        table = studies.table(path)
+        if table is None:
+            st.warning(f"{text.markdown(path.name)} cannot be read.")
+            continue
+        title = f"**{text.markdown(path.stem)}**"
+        more = f"the first {LISTED} of {len(table):,}" if len(table) > LISTED else f"{len(table)}"
+        folded = len(table) > SHORT
+        with st.expander(f"{title}, {more} lines") if folded else st.container():
+            if not folded:
+                st.markdown(title)
+            _lines(study, path.stem, table)
 
 
-def _table(study: Study, name: str, table: pd.DataFrame | None) -> None:
-    if table is None:
-        st.warning(f"{text.markdown(name)} cannot be read.")
-        return
-    title = f"**{text.markdown(name.removesuffix('.csv'))}**"
-    if len(table) <= SHORT:
-        st.markdown(title)
-        _lines(study, name, table)
-        return
-    more = f"the first {LISTED} of {len(table):,}" if len(table) > LISTED else f"{len(table)}"
-    with st.expander(f"{title}, {more} lines"):
-        _lines(study, name, table)
+def _alt(study: Study, figure: Path) -> str:
+    return f"{figure.stem}: {study.question or study.name}"
+
+
+def _command(study: Study, title: str) -> None:
+    if "command" in study.origin:
+        with st.expander(title):
+            st.code(study.origin["command"], language="bash", wrap_lines=True)
 
 
 def _lines(study: Study, name: str, table: pd.DataFrame) -> None:
@@ -168,69 +170,22 @@ def _lines(study: Study, name: str, table: pd.DataFrame) -> None:
     }
     shown = table.head(LISTED).replace(np.inf, np.nan)  # infinity: a level was never reached
     st.dataframe(shown, hide_index=True, column_config=numbers, placeholder="-")
-    st.download_button(
-        "CSV", as_csv(table), f"{study.name}-{name}", "text/csv",
-        icon=":material/download:", on_click="ignore", key=f"download {study.name} {name}",
-    )  # fmt: skip
+    widgets.downloads({"CSV": (lambda: table, name)}, study.name)
 
 
-def _missing(computed: set[str]) -> None:
-    others = [name for name in QUESTIONS if name not in computed]
-    if not others:
-        return
-    with st.expander("Studies that have not been computed here", expanded=not computed):
-        if why := session.read_only_reason():
-            st.caption(why)
-        for name in others:
-            _offer(name, may_run=not why)
-        _progress()
-
-
-def _offer(name: str, *, may_run: bool) -> None:
-    st.markdown(QUESTIONS[name])
-    words = command(name, session.links().store)
-    left, right = st.columns([5, 1], vertical_alignment="center")
-    left.code(form.shown(words), language="bash")
-    running = name in _running() and _running()[name].process.poll() is None
-    if right.button("Run", key=f"run {name}", disabled=running or not may_run, width="stretch"):
-        _running()[name] = trainings.start(words)
-        st.rerun()
-
-
-def command(name: str, store: str) -> list[str]:
-    """The arguments of `tom` that compute a study on this machine."""
-    about_a_store = () if name in ("road", "tabular") else ("--store", store)
-    return ["reproduce", name, *about_a_store]
-
-
-def _progress() -> None:
-    """The output of studies started here; the page is redrawn when one is done."""
-    for name, begun in list(_running().items()):
-        if begun.process.poll() is None:
-            _goes_on(name, begun)
-        elif any(study.name == name for study in studies.listing(studies.FOLDER)):
-            # 1: computed, but a check of the acceptance failed. Another tab may have been first.
-            _running().pop(name, None)
+def _offer(names: Sequence[str]) -> None:
+    """The commands of studies, and buttons that run them."""
+    if why := session.read_only_reason():
+        st.caption(why)
+    for name in names:
+        st.markdown(QUESTIONS[name])
+        about = () if name in ("road", "tabular") else ("--store", session.links().store)
+        words = ["reproduce", name, *about]
+        left, right = st.columns([5, 1], vertical_alignment="center")
+        left.code(form.shown(words), language="bash")
+        disabled = jobs.runs(name) or bool(why)
+        if right.button("Run", key=f"run {name}", disabled=disabled, width="stretch"):
+            jobs.start(name, words)
             st.rerun()
-        else:
-            st.error(f"{name} ended without a result:", icon=":material/error:")
-            st.code(begun.tail(), language=None)
-
-
-@st.fragment(run_every=2)
-def _goes_on(name: str, begun: Started) -> None:
-    if begun.process.poll() is not None:
-        st.rerun()
-    kept = len(list((studies.FOLDER / name / CASES).glob("*")))
-    last = begun.tail().splitlines()[-1:] or ["started"]
-    left, right = st.columns([5, 1], vertical_alignment="center")
-    cases = f", {kept} cases kept" if kept else ""
-    left.caption(f"**{name}** runs{cases}: {text.markdown(last[0])}")
-    if right.button("Stop", key=f"stop {name}", width="stretch"):
-        begun.process.terminate()  # finished cases are stored; the same button resumes
-
-
-@st.cache_resource(show_spinner=False)
-def _running() -> dict[str, Started]:
-    """The studies started here by name, one dict for all pages of this studio."""
-    return {}
+    for name in names:
+        jobs.show(name)

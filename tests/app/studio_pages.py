@@ -69,7 +69,12 @@ def numbers_behind(**query: str) -> AppTest:
 
 def captions(app: AppTest) -> str:
     """All captions of the page, as they are read."""
-    return "\n".join(part.value.replace("\\", "") for part in app.caption)
+    return plain("\n".join(part.value for part in app.caption))
+
+
+def plain(markdown: str) -> str:
+    """Markdown without what escapes it, and with common spaces."""
+    return markdown.replace("\\", "").replace("\u00a0", " ")
 
 
 def metrics(app: AppTest) -> dict[str, str]:

@@ -1,4 +1,4 @@
-// What all pages share in the browser (app/parts/frame/__init__.py): shortcuts, the theme, the names
+// What all pages share in the browser (app/parts/scope.py): shortcuts, the theme, the names
 // of frames, and notices of trainings that have ended.
 
 const ALL_KEYS = {

@@ -174,15 +174,15 @@ function say(plot, what) {
   };
 }
 
-function options(Plotly, selects, views) {
+function options(Plotly, views) {
   return {
     displaylogo: false,
     responsive: true,
     // A zoom that came from the address is none to go back to.
     doubleClick: views ? "autosize" : "reset+autosize",
     modeBarButtonsToRemove: [
-      ...["sendChartToCloud", "toImage", views ? "resetScale2d" : "autoScale2d"],
-      ...(selects ? [] : ["select2d", "lasso2d"]),
+      ...["sendChartToCloud", "toImage", "select2d", "lasso2d"],
+      views ? "resetScale2d" : "autoScale2d",
     ],
     modeBarButtonsToAdd: [
       { name: "Save: SVG, PDF, PNG, CSV", icon: Plotly.Icons.disk, click: saveBox },
@@ -200,12 +200,6 @@ function nearest(plot, points, { clientY }) {
   const away = ({ y, yaxis }) =>
     yaxis ? Math.abs(yaxis._offset + yaxis.d2p(y) - (clientY - top)) : 0;
   return points.reduce((best, point) => (away(point) < away(best) ? point : best));
-}
-
-function corners({ range, lassoPoints }) {
-  const [x, y] = Object.values(lassoPoints ?? range ?? { x: [], y: [] });
-  if (lassoPoints || !x.length) return x.map((value, i) => [value, y[i]]);
-  return [[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]];
 }
 
 // What part of each axis is shown, in the figure's units; null for all of it.
@@ -267,21 +261,9 @@ function spreadZoom(plot, event, Plotly) {
 }
 
 function wire(plot, Plotly) {
-  let told = "";
-  const select = (region) => {
-    // Plotly reports a selection again when it draws it again.
-    if (told === JSON.stringify(region)) return;
-    told = JSON.stringify(region);
-    plot.tell("selected", region);
-  };
   plot.on("plotly_click", ({ points, event }) =>
     plot.tell("clicked", place(nearest(plot, points, event))),
   );
-  plot.on("plotly_selected", (event) => {
-    if (!plot.selects || !event) return;
-    const points = event.points.map(({ curveNumber, pointIndex }) => [curveNumber, pointIndex]);
-    select({ points, outline: corners(event) });
-  });
   plot.on("plotly_afterplot", () => plot.follows?.cursor && follow(plot, window.tomStep));
   plot.on("plotly_hover", ({ xvals }) => crosshair(plot, xvals?.[0] ?? null));
   plot.on("plotly_unhover", () => crosshair(plot, null));
@@ -294,7 +276,6 @@ function wire(plot, Plotly) {
     plot.viewed.push(words);
     plot.tell("viewed", view);
   });
-  plot.on("plotly_deselect", () => plot.selects && select({ points: [], outline: [] }));
   plot.watch ??= new ResizeObserver(() => {
     // A chart on a hidden tab has no width until it is shown.
     if (plot.wired && plot.isConnected && plot.clientWidth) Plotly.Plots.resize(plot);
@@ -375,7 +356,6 @@ function asButton(link) {
 export default function ({ data, parentElement, setTriggerValue }) {
   const plot = parentElement.querySelector(".plot");
   plot.tell = setTriggerValue;
-  plot.selects = data.selects;
   plot.follows = data.follows;
   plot.linked = data.linked;
   plot.viewed ??= [];
@@ -389,7 +369,7 @@ export default function ({ data, parentElement, setTriggerValue }) {
       const seen = plot.taken ? zoomed(layout, plot.taken) : layout;
       plot.parentElement.querySelector(".plot-failed").hidden = true;
       // Plotly starts anew, zoom lost, when it gets other options: also other, equal functions.
-      plot.options ??= options(Plotly, data.selects, Boolean(data.view));
+      plot.options ??= options(Plotly, Boolean(data.view));
       await Plotly.react(plot, traces, dressed(seen, theme(plot)), plot.options);
       if (!plot.wired) wire(plot, Plotly);
       plot.wired = true;

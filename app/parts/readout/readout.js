@@ -1,4 +1,4 @@
-// Numbers that follow the page's timeline (app/parts/readout/__init__.py).
+// Numbers that follow the timeline (app/parts/timeline/__init__.py).
 
 function show(root, step) {
   const { steps, numbers } = root.given;

@@ -1,4 +1,4 @@
-// The list of runs on every page (app/parts/runlist/__init__.py): groups and their runs, each with
+// The list of runs on every page (app/parts/scope.py): groups and their runs, each with
 // an eye that shows or hides it; a run's name chooses it, an eye with Alt shows it alone.
 
 const OPEN = "M12 5C6 5 2.5 10 2 12c.5 2 4 7 10 7s9.5-5 10-7c-.5-2-4-7-10-7Z";

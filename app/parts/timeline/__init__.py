@@ -1,7 +1,7 @@
 """The page's timeline: fits and evaluations of a run, and the step that all panels show.
 
-Panels follow it in the browser (`app.parts.plot.Follow`), at its frame rate; the server draws the
-page again when the hand stops.
+Panels follow it in the browser (`app.parts.plot.Follow`, `numbers`), at its frame rate; the server
+draws the page again when the hand stops.
 """
 
 from collections.abc import Sequence
@@ -19,6 +19,8 @@ _HTML = """<div class="timeline" role="group" aria-label="Timeline">
         <input type="range" step="1" aria-label="Step of the training"></div>
       <output aria-live="off"></output>
       <span class="key">| fit &nbsp; &#8226; evaluation</span></div>"""
+Number = tuple[str, Sequence[str], str]
+"""a label, the number's text at each step, and what it is"""
 
 
 def chosen(stops: Sequence[int]) -> int:
@@ -53,3 +55,10 @@ def draw(fits: Sequence[int], evaluations: Sequence[int], step: int) -> None:
         renderer("timeline", _HTML)(
             key="timeline", data={"given": given, STEP: step}, on_step_change=on_step
         )
+
+
+def numbers(steps: Sequence[int], shown: Sequence[Number]) -> None:
+    """Show numbers at the last of `steps` (ascending) that is not after the timeline's step."""
+    labelled = [{"label": label, "values": of, "help": words} for label, of, words in shown]
+    data = {"steps": list(steps), "numbers": labelled}
+    renderer("readout", '<dl class="readout"></dl>')(key="numbers", data=data)

@@ -1,5 +1,6 @@
 """Attention: which rows of the replay buffer get weight, at every fit, and what they are."""
 
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
@@ -10,19 +11,22 @@ from app.data import buffer, readers, weighings
 from app.data.answer import newest_share
 from app.data.cache import VersionedCache
 from app.data.called import names
+from app.data.exams import at_fit
+from app.data.weighings import Dataset
 from app.figures.base import steps_in_words
 from app.figures.weights import FLOOR, weight_map, weight_profile, with_returns
-from app.parts import address, empty, readout, timeline, widgets
+from app.parts import address, timeline, widgets
 from app.parts.plot import Drawn, Follow, Point, chart
-from app.parts.readout import Number
 from app.parts.scope import Scope
 from app.theme import learner_label
-from app.views.attention import exam, in_buffer, learners, road
-from app.views.attention.in_buffer import pick_data
-from tom import readable
+from app.views.attention import in_buffer, learners, road
+from tom.config import OWN_LOOP, Settings
 from tom.envs import ROAD
+from tom.exams.energy import informative
 from tom.learners import LEARNERS
 from tom.learners.base import DEGENERATE
+from tom.metrics import describe
+from tom.readable import percent, short
 from tom.record.decode import Profiles
 from tom.record.reader import RunReader, at_or_before
 from tom.record.status import Status
@@ -33,54 +37,55 @@ EVEN = 0.9999
 """effective sample size (share) from which weights count as uniform"""
 HEIGHT = 270
 """of the figures over time, in pixels"""
+EXAMS = {
+    "footprint": "exam/footprint",
+    "its noise": "exam/footprint_noise",
+    "error, one step": "exam/error",
+    "error, five steps": "exam/rollout_error",
+}
 _MAPS: VersionedCache[Drawn] = VersionedCache()
 
 
 def page(scope: Scope) -> None:
     """A run's weights over its fits and in its buffer, or those of all learners for one buffer."""
-    part = address.choose_one(
-        st.segmented_control, "Part", [ONE, LEARNERS_ON_IT], "part", ONE, required=True,
-        label_visibility="collapsed",
-    )  # fmt: skip
-    if part == LEARNERS_ON_IT:
+    if address.choose_part([ONE, LEARNERS_ON_IT]) == LEARNERS_ON_IT:
         learners.draw(scope)
         return
-    data = {one.run_id: one for one in weighings.datasets(session.links().store)}
-    run = data.get(scope.asked) or scope.one(
-        lambda run: bool(readers.weighers(run)), widgets.telling
-    )
-    if data:
-        run = pick_data(st.columns([1, 2])[0], data, run)
-    empty.of_own_loop(scope, run, "weights")
-    if run is None:
-        st.info("No run here has fitted a model yet: weights come with the first fit.")
+    run = in_buffer.choose(
+        scope, lambda: st.columns([1, 2])[0], lambda run: bool(readers.weighers(run)),
+        widgets.telling,
+    )  # fmt: skip
+    scope.say_missing(run, "weights")
+    if isinstance(run, Dataset):
+        in_buffer.draw(run, 0)
+        widgets.show_problems(run)
         return
-    asked = [one for one in scope.runs if one.run_id == scope.asked]
-    if asked and run.run_id not in (*data, scope.asked):
-        st.info("The chosen run has not fitted a model yet: weights come with the first fit.")
+    asked = any(one.run_id == scope.asked for one in scope.runs)
+    if run is None or (asked and run.run_id != scope.asked):
+        which = "The chosen run has not" if asked else "No run here has"
+        st.info(f"{which} fitted a model yet: weights come with the first fit.")
         return
     run = _pick_weigher(run)
     profiles = readers.profiles(run)
     fits, evaluations = profiles.env_step.tolist(), run.evaluation_steps()
-    if run.run_id in data:
-        in_buffer.draw(run, 0)
-    elif not fits:
-        st.warning("The weight profiles of this run cannot be read.")
-    else:
+    if fits:
         step = timeline.chosen(sorted({*fits, *evaluations}))
+        fit = at_or_before(fits, step)
         called = text.markdown(names(scope.runs)[run.run_id])
         st.header(f"Which data {called} pays attention to", anchor=False)
         if run.env == ROAD:
             road.draw(scope, run, step)
         else:
             _numbers(run, profiles)
-            _even(run, profiles, fits.index(at_or_before(fits, step)))
-            exam.say(run, at_or_before(fits, step))
-            _over_time(run, profiles, at_or_before(fits, step))
-        in_buffer.draw(run, at_or_before(fits, step))
+            _even(run, profiles, fits.index(fit))
+            _exam(run, fit)
+            _over_time(run, profiles, fit)
+        in_buffer.draw(run, fit)
         if run.env != ROAD:
             _elsewhere(run, step)
         timeline.draw(fits, evaluations, step)
+    else:
+        st.warning("The weight profiles of this run cannot be read.")
     widgets.show_problems(run)
 
 
@@ -98,6 +103,130 @@ def _pick_weigher(run: RunReader) -> RunReader:
     for words in filter(None, (*live.warnings, live.reason)):
         st.caption(text.markdown(words))
     return run
+
+
+def _numbers(run: RunReader, profiles: Profiles) -> None:
+    """What was measured of the weights of each fit, and by its exam."""
+    fits = profiles.env_step.tolist()
+
+    def shares(values: np.ndarray) -> list[str]:
+        return [percent(float(value)) for value in values]
+
+    frame = readers.metrics(run)
+    exams = frame.drop_duplicates("env_step", keep="last").set_index("env_step").reindex(fits)
+    timeline.numbers(
+        fits,
+        [
+            ("fit at step", [f"{fit:,}" for fit in fits], ""),
+            ("transitions", [f"{count:,}" for count in profiles.count], ""),
+            (
+                "weight on the newest fifth", shares(newest_share(profiles)),
+                "share of the whole weight on the newest fifth of the buffer; 20 % if all count "
+                "the same",
+            ),
+            (
+                "effective sample", shares(profiles.ess),
+                "(sum w)² / sum w², as a share of the buffer: 100 % if all count the same",
+            ),
+            (
+                "weight zero", shares(profiles.zeros),
+                "share of the transitions whose weight is zero",
+            ),
+            *(
+                (name, [short(value) for value in exams[path]], describe(path))
+                for name, path in EXAMS.items()
+                if path in exams and np.isfinite(exams[path].to_numpy(np.float64)).any()
+            ),
+        ],
+    )  # fmt: skip
+
+
+def _even(run: RunReader, profiles: Profiles, chosen: int) -> None:
+    """Say why the weights of a learner that weighs are all the same."""
+    if widgets.uniform(run) or profiles.ess[chosen] <= EVEN:
+        return
+    step = int(profiles.env_step[chosen])
+    noticed = {(notice.get("env_step"), notice.get("code")) for notice in readers.notices(run)}
+    if (step, DEGENERATE[0]) in noticed:
+        reason = "its weights could not be used"
+    elif (profiles.ess[:chosen] <= EVEN).any():
+        reason = "although it had weighed before"
+    else:
+        reason = "its warm-up, before it weighs"
+    st.caption(f"At step {step:,} all transitions count the same: {reason}.")
+
+
+def _exam(run: RunReader, fit: int) -> None:
+    """What the exam of a fit means, or why it has none."""
+    frame = readers.metrics(run)
+    metrics = at_fit(frame, fit)
+    if metrics:
+        said = ["The exam of this fit: the steps that its policy made next, which were not in its "
+                "buffer.", about_weights(metrics)]  # fmt: skip
+        if "exam/error" in metrics:
+            ahead = metrics.get("exam/rollout_error")
+            five = "" if ahead is None else f", after five steps by {short(ahead)}"
+            said.append(
+                f"One step ahead its model errs by {short(metrics['exam/error'])} standard "
+                f"deviations of a step's change{five}."
+            )
+        said.append(of_which_weights(run.learner, run.settings))
+        st.caption(text.markdown(" ".join(said)))
+    elif run.own_loop and run.learner == OWN_LOOP:
+        st.caption("No exam: weights that a loop hands in sit none, those of `tom.weigh_live` do.")
+    elif run.status.alive:
+        st.caption("No exam yet: it is over with the next fit.")
+    elif any(name.startswith("exam/") for name in frame.columns):
+        st.caption("This fit sat no exam.")
+    else:
+        st.caption(
+            "No exam: the run is of a version before fits were examined, or ended while its first "
+            "fit served."
+        )
+
+
+def of_which_weights(learner: str, settings: Settings) -> str:
+    """How the weights of an exam, the fit's, differ from those that were recorded; else empty."""
+    share = float(settings.get("model.uniform_share", 0))
+    if share == 1:
+        return (
+            "Its model was fitted with every transition counting the same (model.uniform_share 1), "
+            "and the exam is of that; the weights above choose the rollouts' starts alone."
+        )
+    changes = [f"a share of {share:g} of them uniform"] if share else []
+    if learner in LEARNERS and LEARNERS[learner].clipped and "model.weight_clip" in settings:
+        changes.insert(0, f"clipped at {float(settings['model.weight_clip']):g}")
+    if not changes:
+        return ""
+    return f"The exam is of the weights that the fit counts: those above, {' and '.join(changes)}."
+
+
+def about_weights(metrics: Mapping[str, float]) -> str:
+    """Whether the weights moved the buffer closer to the policy's transitions, beyond noise."""
+    uniform, footprint, noise = (
+        metrics.get(f"exam/{name}")
+        for name in ("footprint_uniform", "footprint", "footprint_noise")
+    )
+    if uniform is None:
+        return "Too few steps to tell where the weights should lie."
+    if footprint is None or noise is None or not informative(noise):
+        return (
+            "The footprint cannot be measured at this fit: without weights the buffer lies no "
+            "farther from these steps than two halves of them from each other."
+        )
+    if footprint < 1 - abs(noise):
+        return (
+            f"The weights bring the buffer nearer to what the policy did: {footprint:.2f} of the "
+            "distance without weights is left."
+        )
+    if footprint > 1 + abs(noise):
+        return (
+            f"The weights take the buffer away from what the policy did: it lies {footprint:.2f} "
+            "times as far as without weights."
+        )
+    return (
+        "With its weights the buffer lies as near to what the policy did as without, but for noise."
+    )
 
 
 def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
@@ -124,30 +253,10 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
         bins = profiles.bins[fits.index(fit)]
         figure = weight_profile(bins, run.learner, HEIGHT, top=top, keep=run.run_id)
         finite = np.maximum(np.nan_to_num(profiles.bins), FLOOR)  # JSON has no NaN
-        at_fits = np.where(finite < 1, finite.round(4), finite.round(2)).tolist()
-        follow = Follow(steps=fits, traces={0: at_fits})
+        follow = Follow(
+            steps=fits, trace=np.where(finite < 1, finite.round(4), finite.round(2)).tolist()
+        )
         chart(figure, "profile", "mean weight, oldest to newest transitions", follow=follow)
-
-
-def _elsewhere(run: RunReader, step: int) -> None:
-    """What other pages, and the other part of this one, make of these weights."""
-    row = st.container(horizontal=True, vertical_alignment="center")
-    kept = [at for at in run.policy_steps() if at <= step]
-    if kept:
-        row.button(
-            f"Every learner on the buffer of step {kept[-1]:,}", key="every learner",
-            icon=":material/scale:", on_click=_open_learners, args=(run, kept[-1]),
-        )  # fmt: skip
-    with row:
-        widgets.link_to("replays", "Weights of several runs, side by side", part="Side by side")
-
-
-def _open_learners(run: RunReader, step: int) -> None:
-    state = st.session_state
-    state["part"], state["run"], state["at"] = LEARNERS_ON_IT, [run.run_id], step
-    of_step = [one for one in weighings.every(run, buffer.length(run)) if one.step == step]
-    if of_step:
-        state["weighed"] = of_step[0].name
 
 
 def _go_to(fits: list[int], point: Point) -> None:
@@ -155,44 +264,22 @@ def _go_to(fits: list[int], point: Point) -> None:
     timeline.go_to(at_or_before(fits, int(point.x)))
 
 
-def _even(run: RunReader, profiles: Profiles, chosen: int) -> None:
-    """Say why the weights of a learner that weighs are all the same."""
-    uniform = run.learner in LEARNERS and LEARNERS[run.learner].uniform
-    if uniform or profiles.ess[chosen] <= EVEN:
-        return
-    step = int(profiles.env_step[chosen])
-    noticed = {(notice.get("env_step"), notice.get("code")) for notice in readers.notices(run)}
-    if (step, DEGENERATE[0]) in noticed:
-        reason = "its weights could not be used"
-    elif (profiles.ess[:chosen] <= EVEN).any():
-        reason = "although it had weighed before"
-    else:
-        reason = "its warm-up, before it weighs"
-    st.caption(f"At step {step:,} all transitions count the same: {reason}.")
+def _elsewhere(run: RunReader, step: int) -> None:
+    """What other pages, and the other part of this one, make of these weights."""
+    kept = [at for at in run.policy_steps() if at <= step]
 
+    def open_learners() -> None:
+        state = st.session_state
+        state["part"], state["run"], state["at"] = LEARNERS_ON_IT, [run.run_id], kept[-1]
+        for one in weighings.every(run, buffer.length(run)):
+            if one.step == kept[-1]:
+                state["weighed"] = one.name
+                break
 
-def _numbers(run: RunReader, profiles: Profiles) -> None:
-    fits = profiles.env_step.tolist()
-    newest, ess, zeros = (
-        [readable.percent(float(value)) for value in values]
-        for values in (newest_share(profiles), profiles.ess, profiles.zeros)
-    )
-    readout.readout(
-        "numbers",
-        fits,
-        [
-            Number("fit at step", [f"{fit:,}" for fit in fits]),
-            Number("transitions", [f"{count:,}" for count in profiles.count]),
-            Number(
-                "weight on the newest fifth", newest,
-                "share of the whole weight on the newest fifth of the buffer; 20 % if all count "
-                "the same",
-            ),
-            Number(
-                "effective sample", ess,
-                "(sum w)² / sum w², as a share of the buffer: 100 % if all count the same",
-            ),
-            Number("weight zero", zeros, "share of the transitions whose weight is zero"),
-            *exam.numbers(run, fits),
-        ],
-    )  # fmt: skip
+    with st.container(horizontal=True, vertical_alignment="center"):
+        if kept:
+            st.button(
+                f"Every learner on the buffer of step {kept[-1]:,}", key="every learner",
+                icon=":material/scale:", on_click=open_learners,
+            )  # fmt: skip
+        widgets.link_to("replays", "Weights of several runs, side by side", part="Side by side")

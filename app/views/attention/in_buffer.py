@@ -1,26 +1,30 @@
 """The replay buffer as a map: one selection of its rows, and what they are, down to the robot."""
 
-from collections.abc import Mapping
+import io
+from collections.abc import Callable, Mapping
 
 import numpy as np
+import pandas as pd
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
-from app import session
-from app.data import buffer, buffer_map
+from app import session, text
+from app.data import buffer, buffer_map, weighings
 from app.data.buffer import Rows
 from app.data.buffer_map import CONTRAST, MODEL, POLICY, PRINCIPAL, TWO, Source
 from app.data.columns import RANK, WEIGHT
+from app.data.readers import reader
 from app.data.selection import Mask, Selection
+from app.data.weighings import Weighing
 from app.figures.replay import moments_figure
-from app.parts import address, empty, map
+from app.parts import address, map, widgets
 from app.parts.plot import chart
-from app.parts.stage import stage
+from app.parts.scope import Scope
 from app.scenes.control import StatesChoice
 from app.theme import BLUE_TO_ORANGE, NEUTRAL, RISING, faded
-from app.views.attention import brush, row_list, why
-from app.views.attention.progress import show_notices
+from app.views.attention import why
 from tom.envs import ROAD
+from tom.frames import Run, read_weighing
 from tom.record.reader import RunReader, at_or_before
 
 STAGE_HEIGHT = 560
@@ -30,6 +34,8 @@ SHOWN = 9
 """number of robots of each kind"""
 GAP = 10
 """minimum number of steps between two of them"""
+LISTED = 300
+"""maximum number of transitions in the table"""
 UNREADABLE = "The rows of this buffer, or their weights, were not kept or cannot be read."
 OWN, NONE = "the run itself", "no other"
 PLANES = {
@@ -46,11 +52,36 @@ PLANE_HELP = (
 )
 
 
+def choose(
+    scope: Scope,
+    place: Callable[[], DeltaGenerator],
+    suits: Callable[[RunReader], bool],
+    usual: Callable[[RunReader], object],
+) -> RunReader | None:
+    """The run of the list, or a data set that `tom weigh` was given, chosen at `place`."""
+    data = {one.run_id: one for one in weighings.datasets(session.links().store)}
+    run = data.get(scope.asked) or scope.one(suits, usual)
+    if not data:
+        return run
+    options = [*([] if run is None else ["the chosen run"]), *data]
+    chosen = address.choose_one(place().selectbox, "Buffer of", options, "data", options[0])
+    return data.get(chosen, run)
+
+
+def say_of(weighing: Weighing, rows: int, *facts: str) -> None:
+    """Say of a weighing of a buffer of `rows` what it lacks, contradicts itself in, and noticed."""
+    for words in (weighing.missing(rows), *facts):
+        if words:
+            st.caption(words)
+    for notice in weighing.notices:
+        st.warning(text.markdown(notice), icon=":material/warning:")
+
+
 def draw(run: RunReader, fit: int) -> None:
     """The map of a run's buffer at a fit, or of a data set; its histograms; the chosen rows."""
     sources = buffer_map.sources(run)
     if not sources:
-        if not empty.left_out(run, "buffer", "other snapshots"):
+        if not widgets.left_out(run, "buffer", "other snapshots"):
             st.warning(UNREADABLE)
         return
     top = st.columns(3, vertical_alignment="bottom")
@@ -61,28 +92,27 @@ def draw(run: RunReader, fit: int) -> None:
         return
     against = _pick_against(sources, source, top[1])
     key = _pick_plane(run, sources, source, top[2])
-    where, outline = address.value_of("where", list), address.value_of("outline", list)
-    address.keep("where", where)
-    address.keep("outline", outline)
+    where, outline = address.words("where"), address.words("outline")
     selection, row = Selection.of(where, outline), why.asked(rows)
+    shown = [one for one in sources.values() if not one.weighing]
+    given = _given(run, rows, source, [source] if source.weighing else shown, row)
+    keys = [key, *({selection.outline.plane} - {key} if selection.outline else ())]
+    given["planes"] = [plane for one in keys if (plane := buffer_map.given_plane(run, one))]
+    given["against"] = buffer_map.given_source(run, against) if against else None
+    state = st.session_state
     with st.container(border=True):
-        _map(run, rows, sources, source, key, against, row)
+        map.draw(
+            given, source.end, where, outline, address.word("colour", WEIGHT.name),
+            chosen=lambda where, outline: state.update(where=where, outline=outline),
+            picked=why.pick, coloured=lambda name: state.update(colour=[name]),
+        )  # fmt: skip
     mask = buffer_map.chosen(run, source, selection)
     if run.env != ROAD:  # its states are positions, which its own map shows
         _scenes(run, rows, source, mask, selection, row)
-        brush.section(run, source, mask)
-    why.section(run, rows, source)
-    row_list.section(run, rows, source, mask)
-    empty.left_out(run, "other snapshots", "simulator states")
-
-
-def pick_data(
-    place: DeltaGenerator, data: Mapping[str, RunReader], run: RunReader | None
-) -> RunReader | None:
-    """The run of the list, or a data set that `tom weigh` was given."""
-    options = [*([] if run is None else ["the chosen run"]), *data]
-    chosen = address.choose_one(place.selectbox, "Buffer of", options, "data", options[0])
-    return data.get(chosen, run)
+        why.brush(run, source, mask)
+    why.section(run, rows, source, row)
+    _listed(run, rows, source, mask)
+    widgets.left_out(run, "other snapshots", "simulator states")
 
 
 def _pick_weights(
@@ -101,11 +131,8 @@ def _pick_weights(
         if kept != fit:
             st.caption(f"Single weights are kept of {len(fits)} fits; below is step {kept:,}.")
         return sources[str(kept)]
-    weighing = sources[chosen].weighing
-    assert weighing is not None
-    if missing := weighing.missing(buffer.length(run)):
-        st.caption(missing)
-    show_notices(weighing)
+    if weighing := sources[chosen].weighing:
+        say_of(weighing, buffer.length(run))
     return sources[chosen]
 
 
@@ -129,7 +156,7 @@ def _pick_plane(
     """The key of the shown plane: of another fit until the user asks for this one's."""
     fits = [label for label, one in sources.items() if not one.weighing]
     usual = source.label if source.weighing else fits[-1]
-    asked = address.value_of("of", lambda words: "".join(words[-1:]))
+    asked = "".join(address.value_of("of", list)[-1:])
     of = asked if asked in fits and not source.weighing else usual
     keys = {CONTRAST: f"{CONTRAST}@{of}", PRINCIPAL: f"{PRINCIPAL}@{of}"}
     # A network takes a second or more to see all rows, so its share is told once it is chosen.
@@ -161,35 +188,23 @@ def _pick_plane(
         row = st.container(horizontal=True, vertical_alignment="center")
         row.caption(f"The plane is that of step {int(of):,}, so that what moves are the weights.")
         if row.button("Plane of this fit"):
-            st.session_state["of"] = source.label
+            st.session_state["of"] = [source.label]
             st.rerun()
     return keys[chosen]
 
 
-def _map(
-    run: RunReader,
-    rows: Rows,
-    sources: Mapping[str, Source],
-    source: Source,
-    key: str,
-    against: Source | None,
-    row: int | None,
-) -> None:
-    where, outline = st.session_state["where"], st.session_state["outline"]
-    selection = Selection.of(where, outline)
-    keys = [key, *({selection.outline.plane} - {key} if selection.outline else ())]
-    own = [one for one in sources.values() if not one.weighing]
-    shown, mode = [source] if source.weighing else own, session.mode()
-    near, path = [], None
+def _given(
+    run: RunReader, rows: Rows, source: Source, shown: list[Source], row: int | None
+) -> dict[str, object]:
+    """What the map needs to know of the buffer, of the `shown` weights, and of a chosen row."""
+    mode, near, path = session.mode(), [], None
     if row is not None:
         near = buffer_map.nearest(run, source, rows.first + row).tolist()
         same = np.flatnonzero(rows.episode == rows.episode[row])
         path = [rows.first + int(same[0]), rows.first + int(same[-1])]
-    given = {
+    return {
         "columns": buffer_map.given_columns(run, shown),
         "sources": [buffer_map.given_source(run, one) for one in shown],
-        "planes": [plane for one in keys if (plane := buffer_map.given_plane(run, one))],
-        "against": buffer_map.given_source(run, against) if against else None,
         "row": None if row is None else rows.first + row,
         "path": path,
         "near": near,
@@ -201,14 +216,6 @@ def _map(
             "weight": BLUE_TO_ORANGE[mode][-2][1], "brush": faded(NEUTRAL, 0.2), "edge": NEUTRAL,
         },
     }  # fmt: skip
-    colour = "".join(address.value_of("colour", list)[-1:]) or WEIGHT.name
-    address.keep("colour", [] if colour == WEIGHT.name else [colour])
-    state = st.session_state
-    map.draw(
-        given, source.end, where, outline, colour,
-        chosen=lambda where, outline: state.update(where=where, outline=outline),
-        picked=why.pick, coloured=lambda name: state.update(colour=[name]),
-    )  # fmt: skip
 
 
 def _scenes(
@@ -221,10 +228,7 @@ def _scenes(
     kinds = ["the chosen rows", "a row and its nearest"]
     kind = kinds[0]
     if row is not None:
-        kind = address.choose_one(
-            st.segmented_control, "Scenes", kinds, "scenes", kinds[0], required=True,
-            label_visibility="collapsed",
-        )  # fmt: skip
+        kind = address.choose_part(kinds, "scenes", "Scenes")
     if row is None or kind == kinds[0]:
         left, right, words = _sides(rows, mask, selection)
         titles = "heaviest", "lightest"
@@ -242,7 +246,7 @@ def _scenes(
         titles,
     )
     if buffer.drawn(run):
-        stage(choice, STAGE_HEIGHT, compact=True)
+        widgets.stage(choice, STAGE_HEIGHT, compact=True)
         st.caption("A click on the panel's title opens it: there the moments can be played.")
         return
     curves = buffer.moments(run, choice.heavy), buffer.moments(run, choice.light)
@@ -265,3 +269,57 @@ def _sides(rows: Rows, mask: Mask, selection: Selection) -> tuple[list[int], lis
         heavy = buffer.heavy_and_light(rows, whole, SHOWN, GAP)[0]
         return heavy, light, "the buffer's heaviest on the left, weight zero on the right"
     return heavy, light, "the heaviest chosen on the left, the lightest chosen on the right"
+
+
+def _listed(run: RunReader, rows: Rows, source: Source, mask: Mask) -> None:
+    """The heaviest chosen rows, listed when they are asked for; all of them as a file."""
+    more = f", the {LISTED} heaviest" if mask.sum() > LISTED else ""
+    box = address.fold(f"The chosen transitions{more}", "rows")
+    if box.open:
+        index = np.flatnonzero(mask)
+        index = index[np.argsort(-rows.weight[index], kind="stable")][:LISTED]
+        box.dataframe(listed(run, rows, index), hide_index=True)
+
+    def content() -> bytes:
+        file = io.BytesIO()
+        table(run, source)[mask].to_parquet(file, index=False)
+        return file.getvalue()
+
+    which = "all" if mask.all() else "the chosen"
+    st.download_button(
+        f"Save {which} {int(mask.sum()):,} rows (Parquet)", content,
+        f"{run.run_id.replace('/', '-')}-rows-{source.end}.parquet",
+        "application/vnd.apache.parquet", icon=":material/download:", on_click="ignore",
+        key="save rows", help="opens in pandas, DuckDB and Embedding Atlas; see docs/runs.md",
+    )  # fmt: skip
+
+
+def table(run: RunReader, source: Source) -> pd.DataFrame:
+    """The rows of these weights, a line each: `tom.load(...).rows(...)`."""
+    if source.weighing is None:
+        return Run(reader(run)).rows(int(source.label))
+    return read_weighing(source.weighing.path).rows(source.column)
+
+
+def listed(run: RunReader, rows: Rows, index: np.ndarray) -> pd.DataFrame:
+    """One line for each of these rows: its weight, its origin, s, a, r and s'."""
+    part = rows.rows[index].numpy()
+    names, actions = buffer_map.named(run)
+    table = {
+        "weight": rows.weight[index],
+        "row": rows.first + index,
+        "episode": rows.episode[index] + 1,
+        "step of the episode": rows.place[index] + 1,
+        "return of the episode": rows.episode_return[index],
+        "policy version": rows.version[index] if rows.policies_known else "not known",
+        "reward": part.reward,
+        "terminal": np.asarray(part.terminated) != 0,
+    }
+    vectors = (
+        (part.obs, names),
+        (part.action, actions),
+        (part.next_obs, [f"next {n}" for n in names]),
+    )
+    for values, called in vectors:
+        table |= dict(zip(called, np.asarray(values).T, strict=True))
+    return pd.DataFrame(table)

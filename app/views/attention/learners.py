@@ -1,6 +1,6 @@
-"""Every learner's weights of one buffer, side by side."""
+"""Every learner's weights of one buffer, side by side, and how to weigh one."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -12,16 +12,20 @@ from app.data import buffer, weighings
 from app.data.buffer import Floats
 from app.data.weighings import Dataset, Weighing
 from app.figures.probe import probe_profiles
-from app.parts import address, empty, widgets
+from app.parts import address, form, jobs, widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from app.theme import learner_label
-from app.views.attention import weigh
-from app.views.attention.in_buffer import pick_data
-from app.views.attention.progress import show_notices
-from tom import readable
-from tom.envs import ROAD
+from app.views.attention import in_buffer
+from tom.analysis.weighing import POLICIES, PRESETS, RANDOM
+from tom.data.datasets import FORMATS
+from tom.envs import ANY, ENVS, ROAD, is_code
+from tom.learners import LEARNERS, WEIGHED_FIRST, follows_behaviour
+from tom.readable import percent
+from tom.record.reader import RunReader
 
+END = "the end"
+FOREIGN = "policy.pt, policy.onnx or module:function"
 COLUMNS = {
     "ESS": "ess",
     "weight 0": "zeros",
@@ -35,49 +39,47 @@ COLUMNS = {
 def draw(scope: Scope) -> None:
     """A buffer and the learners' weights of its rows; how to weigh it."""
     store = session.links().store
-    data = {one.run_id: one for one in weighings.datasets(store)}
     online = [run for run in scope.runs if run.env != ROAD]
     kept = [run for run in online if buffer.has_rows(run)]
     weighed = weighings.weighed(store)
-    run = data.get(scope.asked) or scope.one(
-        lambda run: run in kept, lambda run: (run.run_id not in weighed, *widgets.telling(run))
-    )
-    top = st.columns([1, 1], vertical_alignment="bottom")
-    if data:
-        run = pick_data(top[1], data, run)
+    left, right = st.columns([1, 1], vertical_alignment="bottom")
+    run = in_buffer.choose(
+        scope, lambda: right, kept.__contains__,
+        lambda run: (run.run_id not in weighed, *widgets.telling(run)),
+    )  # fmt: skip
+    rows = buffer.length(run) if run else 0
     if run is None:
-        if not empty.left_out_of_all(online, "buffer"):
+        if not widgets.left_out_of_all(online, "buffer"):
             st.info("No run of a MuJoCo task has collected transitions here yet.")
-        weigh.draw_own()
-        return
-    rows = buffer.length(run)
-    if not rows:
+    elif not rows:
         st.warning("This replay buffer cannot be read.")
         return
-    with top[0]:
-        chosen = _pick_weighing(weighings.every(run, rows))
-    if chosen is None:
-        st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
     else:
-        _weighed(chosen, rows)
-    if isinstance(run, Dataset):
-        weigh.draw_again(run)
-    else:
-        weigh.draw(run, kept, folded=chosen is not None)
-    weigh.draw_own()
-    widgets.show_problems(run)
-
-
-def _pick_weighing(of_buffer: list[Weighing]) -> Weighing | None:
-    by_name = {weighing.name: weighing for weighing in of_buffer}
-    if not of_buffer:
-        st.selectbox("Weighed", ["not yet"], disabled=True)
-        return None
-    chosen = address.choose_one(
-        st.selectbox, "Weighed", list(by_name), "weighed", of_buffer[0].name,
-        help="live weights of a loop of your own; results of `tom weigh`, newest first",
-    )  # fmt: skip
-    return by_name[chosen]
+        found = {one.name: one for one in weighings.every(run, rows)}
+        with left:
+            if found:
+                chosen = address.choose_one(
+                    st.selectbox, "Weighed", list(found), "weighed", next(iter(found)),
+                    help="live weights of a loop of your own; results of `tom weigh`, newest first",
+                )  # fmt: skip
+            else:
+                st.selectbox("Weighed", ["not yet"], disabled=True)
+        if found:
+            _weighed(found[chosen], rows)
+        else:
+            st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
+        if isinstance(run, Dataset):
+            _weigh_again(run)
+        else:
+            _weigh(run, kept, expanded=not found)
+    with st.expander("Data and policies of your own", icon=":material/upload_file:"):
+        words = ["weigh", "DATA", "--policy", "POLICY", "--env", "ENV", "--store", store]
+        st.code(form.shown(words), language="bash")
+        st.caption(f"DATA: a run (id or folder), {FORMATS}, oldest transition first.")
+        st.caption(f"POLICY: {POLICIES}.")
+        st.caption(f"ENV: {', '.join(ENVS)}, {ANY}. A run and its policy know theirs.")
+    if run is not None:
+        widgets.show_problems(run)
 
 
 def _weighed(weighing: Weighing, rows: int) -> None:
@@ -85,27 +87,22 @@ def _weighed(weighing: Weighing, rows: int) -> None:
     if not of:
         st.warning("The weights of this weighing cannot be read.")
         return
-    if missing := weighing.missing(rows):
-        st.caption(missing)
-    if weighing.card:
-        st.caption(weighing.card)
-    show_notices(weighing)
-    count = len(next(iter(of.values())))
+    in_buffer.say_of(weighing, rows, weighing.card)
     footprints = weighing.footprints
     if sentence := nearest({name: of[:, 0] for name, of in footprints.items()}):
-        st.markdown(sentence)
+        st.markdown(text.unbroken(sentence))
     with st.container(border=True):
         st.markdown(
             f"**By the policy of {text.markdown(weighing.policy)}**: the dotted line ends the "
             "random data"
         )
-        share = weighing.ordered_from / count
+        share = weighing.ordered_from / len(next(iter(of.values())))
         figure = probe_profiles(weighings.profiles(of), share, 400, keep=weighing.name)
         chart(figure, "probe", "weight profiles of several learners on the same buffer")
     with st.container(border=True):
         st.markdown("**What the weights come to**: medians over seeds")
         st.dataframe(
-            table(weighing.medians, footprints),
+            _table(weighing.medians, footprints),
             hide_index=True, width="content", height="content", column_config=_columns(),
         )  # fmt: skip
         st.caption(f"TOM with {text.markdown(weighing.settings)}. Weights have mean 1.")
@@ -127,16 +124,16 @@ def nearest(footprints: Mapping[str, Floats]) -> str:
     else:
         sure = (
             f"That is {'more' if more - least > apart else 'no more'} than two seeds of one "
-            f"learner differ here (at most {readable.percent(apart, 0)})"
+            f"learner differ here (at most {percent(apart, 0)})"
         )
     return (
         f"**{one} puts its weight nearest to the policy**: its weighted buffer keeps "
-        f"{readable.percent(least, 0)} of the distance to the policy's fresh episodes, {other}'s, "
-        f"the next, {readable.percent(more, 0)}. {sure}."
+        f"{percent(least, 0)} of the distance to the policy's fresh episodes, {other}'s, "
+        f"the next, {percent(more, 0)}. {sure}."
     )
 
 
-def table(
+def _table(
     medians: Mapping[str, Mapping[str, float]], footprints: Mapping[str, Floats]
 ) -> pd.DataFrame:
     """One row per learner: medians over its seeds."""
@@ -177,3 +174,67 @@ def _columns() -> dict:
             "newer counts more throughout",
         ),
     }
+
+
+def _weigh(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None:
+    """A form that starts `tom weigh` on this buffer, all of it or its state at a fit."""
+    with st.expander("Weigh this buffer", icon=":material/scale:", expanded=expanded):
+        row = st.columns([2, 4, 4, 2, 2])
+        widgets.left_out(run, "policies")
+        at = address.choose_one(
+            row[0].selectbox, "As it was at step", [END, *run.policy_steps()], "at", END,
+            lambda step: str(step) if step == END else f"{step:,}",
+            help="the buffer and the policies at that fit; the steps are those where both were "
+            "kept",
+        )  # fmt: skip
+        step = None if at == END else int(at)
+        policies = [one.run_id for one in kept if one.env == run.env and one.has_policy(step)]
+        policies.sort(key=lambda name: name != run.run_id)
+        policy = row[1].selectbox(
+            "By the policy of", [*policies, RANDOM, FOREIGN], key="weigh policy"
+        )
+        usable = [name for name in LEARNERS if run.keeps_behaviour() or not follows_behaviour(name)]
+        learners = row[2].multiselect(
+            "Learners", usable, list(WEIGHED_FIRST), key="weigh learners",
+            format_func=learner_label,
+            filter_mode="contains", select_all=False,
+        )  # fmt: skip
+        preset = row[3].selectbox(
+            "TOM's preset", PRESETS, key="weigh preset",
+            help="own: the settings of the buffer's run",
+        )  # fmt: skip
+        seeds = int(row[4].number_input("Seeds", 1, 10, 2, key="weigh seeds"))
+        foreign = policy == FOREIGN
+        if foreign:  # in the form that `tom weigh` accepts
+            policy = st.text_input("File or function", placeholder=FOREIGN, key="weigh foreign")
+        words = [
+            "weigh", run.run_id, "--policy", policy or "POLICY",
+            *(["--env", run.env] if is_code(run.env) else []),
+            *([] if step is None else ["--step", str(step)]),
+            "--learner", *learners, "--seeds", *map(str, range(seeds)), "--preset", preset,
+            "--store", session.links().store,
+        ]  # fmt: skip
+        st.code(form.shown(words), language="bash", wrap_lines=True)
+        job = f"Weighing {run.run_id}"
+        if why := session.read_only_reason():
+            st.caption(why)
+        elif foreign or is_code(run.env):
+            st.caption("It runs code of yours, so it is started in a terminal.")
+        elif st.button("Weigh", type="primary", disabled=not learners, key="weigh"):
+            jobs.start(job, words)
+        if len(usable) < len(LEARNERS):
+            lacking = ", ".join(learner_label(name) for name in LEARNERS if name not in usable)
+            st.caption(f"{lacking}: this run does not say which policies drew its actions.")
+        if run.run_id not in policies and not widgets.left_out(run, "policy"):
+            st.caption("This run holds no policy of its own: it is written when a run has ended.")
+    jobs.show(job)
+
+
+def _weigh_again(run: Dataset) -> None:
+    """Show the command that weighs a data set, because pages do not look for the user's files."""
+    with st.expander("Weigh this data", icon=":material/scale:"):
+        st.caption("No run collected it, so it is weighed in a terminal, where it lies by now:")
+        words = run.words(session.links().store)
+        st.code(form.shown(words), language="bash", wrap_lines=True)
+        st.caption("It was last weighed by:")
+        st.code(run.command, language="bash", wrap_lines=True)

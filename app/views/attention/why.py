@@ -1,30 +1,38 @@
-"""Why this weight? A transition, the terms of its weight, its neighbours, its rollouts."""
+"""Why this weight, and what if this region counted more or less: a row's terms, and the brush."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from threading import Thread
 
 import numpy as np
 import pandas as pd
 import streamlit as st
 
 from app import session, text
-from app.data import buffer_map, trainings
+from app.data import buffer, buffer_map, weighings
 from app.data import why as reasons
 from app.data.buffer import Rows
 from app.data.buffer_map import Source
+from app.data.selection import Mask
+from app.data.weighings import Brushed
 from app.data.why import Why
-from app.figures.why import rollout_lines, waterfall
+from app.figures.why import NAMES, change, error_bars, factor_in_words, rollout_lines, waterfall
+from app.parts import address, jobs
 from app.parts.plot import chart
+from app.scenes.film import ghosts
 from app.theme import learner_label
-from app.views.attention import progress
+from tom.analysis.brush import FACTORS
 from tom.analysis.why import Sum
 from tom.config import TomConfig
 from tom.envs import ROAD, is_code
 from tom.learners import SUBJECT
 from tom.readable import number, percent, score, short
 from tom.record.reader import RunReader
+from tom.record.task_record import scene_of
 
 KEY = "row"
-STARTED = "why weighing"
-"""the process that this section started, in the session"""
-HEIGHT = 290
+HEIGHT, BRUSH_HEIGHT = 290, 380
 FORMULA = {
     "chi2": "max(0, 1 + sum)",
     "full-chi2": "max(0, 1 + sum / 2)",
@@ -43,17 +51,17 @@ def pick(row: int) -> None:
 
 
 def asked(rows: Rows) -> int | None:
-    """The chosen row of the buffer, before its widget is drawn; None if there is none."""
-    held = st.session_state.get(KEY, st.query_params.get(KEY, ""))
-    row = None if held is None else text.whole(held)
-    last = rows.first + len(rows) - 1
-    return None if row is None or not rows.first <= row <= last else row - rows.first
+    """The chosen row of the buffer: by a click, a widget or the address (`?row=`); or none."""
+    row = address.value_of(KEY, address.whole_number)
+    inside = row is not None and rows.first <= row < rows.first + len(rows)
+    st.session_state[KEY] = row if inside else None
+    return row - rows.first if row is not None and inside else None
 
 
-def section(run: RunReader, rows: Rows, source: Source) -> None:
+def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None:
     """Choose a transition, and explain its weight."""
     with st.container(border=True):
-        row = _pick(rows)
+        _pick(rows)
         if row is None:
             return
         found = reasons.why_of(run, rows, source)
@@ -68,23 +76,14 @@ def section(run: RunReader, rows: Rows, source: Source) -> None:
                 summed = found.sum_of(row)
                 figure = waterfall(summed, SUBJECT, HEIGHT)
                 chart(figure, "why sum", "the terms that make the weight")
-                st.caption(in_words(found.config, summed, found.whose))
+                st.caption(_formula(found.config, summed, found.whose))
             with right:
                 _neighbours(run, rows, found, row)
         if run.env != ROAD:
             _rollouts(run, rows, row)
 
 
-def _pick(rows: Rows) -> int | None:
-    """The chosen row of the buffer: by a click, a widget or the address (`?row=`)."""
-    last = rows.first + len(rows) - 1
-    held = st.session_state.get(KEY, st.query_params.get(KEY, ""))
-    asked = None if held is None else text.whole(held)
-    # Streamlit's own reading of the address fails at "inf".
-    bind = None if text.whole(st.query_params.get(KEY, 0)) is None else "query-params"
-    if held is not None and (asked is None or not rows.first <= asked <= last):
-        st.session_state.pop(KEY, None)
-        st.query_params.pop(KEY, None)
+def _pick(rows: Rows) -> None:
     columns = st.columns([5, 4, 3, 3, 2, 3], vertical_alignment="bottom", gap="small")
     columns[0].markdown("**Why this weight?** Click a transition on a map, or choose one")
     order, weight = np.argsort(rows.weight, kind="stable"), rows.weight
@@ -96,14 +95,16 @@ def _pick(rows: Rows) -> int | None:
         "newest": len(rows) - 1,
     }
     for column, (name, row) in zip(columns[2:], suggested.items(), strict=False):
-        if column.button(name, key=f"why {name}", disabled=row is None, width="stretch"):
-            st.session_state[KEY] = rows.first + int(row or 0)
+        column.button(
+            name, key=f"why {name}", disabled=row is None, width="stretch", on_click=pick,
+            args=(rows.first + int(row or 0),),
+        )  # fmt: skip
     chosen = columns[1].number_input(
-        "Number of the transition", rows.first, last, value=None, key=KEY, bind=bind,
+        "Number of the transition", rows.first, rows.first + len(rows) - 1, value=None, key=KEY,
         placeholder="none yet",
         help="its row in the run's record, counted from 0: one less than its step",
     )  # fmt: skip
-    return None if chosen is None else int(chosen) - rows.first
+    address.keep(KEY, [] if chosen is None else [str(chosen)])
 
 
 def _head(rows: Rows, row: int) -> None:
@@ -117,7 +118,7 @@ def _head(rows: Rows, row: int) -> None:
     columns[4].metric("ends the episode", ends)
 
 
-def in_words(config: TomConfig, parts: Sum, whose: str) -> str:
+def _formula(config: TomConfig, parts: Sum, whose: str) -> str:
     """The weight as a formula with its numbers."""
     divided = (
         f" / {short(parts.mean)} (its mean over the buffer)" if config.divergence != "kl" else ""
@@ -192,16 +193,132 @@ def _offer(run: RunReader, rows: Rows) -> None:
     step = rows.first + len(rows)
     if run.env == ROAD or is_code(run.env) or step not in run.policy_steps():
         return
-    store = session.links().store
     words = ["weigh", run.argument, "--policy", run.argument, "--step", str(step)]
-    words += ["--learner", SUBJECT, "--seeds", "0", "--store", store]
+    words += ["--learner", SUBJECT, "--seeds", "0", "--store", session.links().store]
     st.caption(
         "Weighed anew with this fit's policy and the run's settings the buffer has terms (Q begins "
         "afresh there, so weights differ from the run's own). Then choose them in the buffer, "
         "under Weights of."
     )
+    job = f"Weighing {run.run_id} at {step}"
     if why := session.read_only_reason():
         st.caption(why)
     elif st.button(f"Weigh this buffer by {learner_label(SUBJECT)}", key="why weigh"):
-        st.session_state[STARTED] = trainings.start(words)
-    progress.show(STARTED)
+        jobs.start(job, words)
+    jobs.show(job)
+
+
+def brush(run: RunReader, source: Source, mask: Mask) -> None:
+    """Start a brush of the chosen region, and show earlier ones."""
+    brushes = weighings.brushes(run, buffer.length(run))
+    regions = {one.name: one for one in map(weighings.brushed, brushes) if one is not None}
+    with st.container(border=True):
+        st.markdown("**What if this region counted more, or less?**")
+        job = brushing(run)
+        _start(job, run, source, mask)
+        # The newest is then shown, in place of an earlier one that was chosen.
+        jobs.show(job, lambda: st.session_state.update(brush=""))
+        if regions:
+            chosen = address.choose_one(
+                st.selectbox, "Brushed", list(regions), "brush", next(iter(regions)),
+                help="newest first; its weights can be chosen above under Weights of",
+            )  # fmt: skip
+            _brushed(run, regions[chosen])
+
+
+def brushing(run: RunReader) -> str:
+    """The name of the brush of a run that pages start."""
+    return f"Brush of {run.run_id}"
+
+
+def command(
+    run_id: str, rows: str, step: int, of: str, factors: Sequence[float], store: str
+) -> list[str]:
+    """The arguments of `tom` that brush the rows listed in a file."""
+    weights = ["--weighing", of] if of else []
+    by = [f"{factor:g}" for factor in factors]
+    return [
+        "brush", run_id, "--rows", rows, "--step", str(step), *weights, "--factors", *by,
+        "--store", store,
+    ]  # fmt: skip
+
+
+def _start(job: str, run: RunReader, source: Source, mask: Mask) -> None:
+    left, right = st.columns([3, 2], vertical_alignment="bottom")
+    factors = left.pills(
+        "Its weight is multiplied by", list(FACTORS), default=list(FACTORS), key="factors",
+        selection_mode="multi", format_func=factor_in_words,
+    )  # fmt: skip
+    count = int(mask.sum())
+    if why := session.read_only_reason():
+        st.caption(why)
+    elif is_code(run.env):
+        words = text.markdown(f"tom brush {run.argument} --env {run.env} --rows FILE --step N")
+        st.caption(f"It runs code of yours, so it is started in a terminal: {words}")
+    elif not 0 < count < len(mask):
+        st.caption("Choose some rows of the buffer above, not all of them.")
+    elif right.button(
+        f"Fit small models: {count:,} transitions", key="brush it", disabled=not factors,
+        type="primary", width="stretch",
+    ):  # fmt: skip
+        with NamedTemporaryFile("w", prefix="tom-brush-", suffix=".txt", delete=False) as file:
+            np.savetxt(file, source.first + np.flatnonzero(mask), fmt="%d")
+        store = session.links().store
+        words = command(run.argument, file.name, source.end, source.option, factors, store)
+        begun = jobs.start(job, words)
+
+        def remove() -> None:  # when its reader has ended, whether or not a page looks on
+            begun.process.wait()
+            Path(file.name).unlink(missing_ok=True)
+
+        Thread(target=remove, daemon=True).start()
+
+
+def _brushed(run: RunReader, brushed: Brushed) -> None:
+    left, right = st.columns([1, 1])
+    with left:
+        st.markdown(f"**{brushed.rows:,} of {brushed.of:,} transitions, step {brushed.step:,}**")
+        figure = error_bars(brushed, BRUSH_HEIGHT, session.mode())
+        chart(figure, "brush errors", "errors of brushed models by region")
+        st.caption(in_words(brushed))
+    with right:
+        kept = [f for f in brushed.factors if f"x{f:g}" in brushed.ghosts]
+        if not kept:
+            st.caption("No ghosts: no evaluation episode was kept.")
+            return
+        factor = st.segmented_control(
+            "Ghost of weight", kept, default=kept[0], required=True, key="ghost of",
+            format_func=factor_in_words,
+        )  # fmt: skip
+        factor = kept[0] if factor not in kept else factor
+        known, model = buffer.described_task(run), scene_of(run)
+        if known is None or model is None:
+            st.caption("No ghosts: there is no robot to draw.")
+            return
+        name, drawn = f"region {factor_in_words(factor)}", (known, model)
+        page = ghosts(drawn, brushed.ghosts, factor, name, run.learner, session.mode())
+        st.iframe(page, height=BRUSH_HEIGHT)
+        st.caption(
+            "An evaluation episode, and what two models make of its actions, from the real state "
+            "every 20 steps; at a quarter of real time."
+        )
+
+
+def in_words(brushed: Brushed) -> str:
+    """The change of the models' errors, one sentence per factor."""
+    said = []
+    for factor in brushed.factors:
+        parts = []
+        for region, name in NAMES.items():
+            ratio = change(brushed, region, factor) if region in brushed.errors else np.array([])
+            ratio = ratio[np.isfinite(ratio)]
+            if not len(ratio):
+                continue
+            sure = (ratio > 1).all() or (ratio < 1).all()
+            parts.append(f"{name} {100 * (ratio.mean() - 1):+.0f} %{'' if sure else ' (not all)'}")
+        said.append(f"Weight {factor_in_words(factor)}: {', '.join(parts)}.")
+    size = f"{brushed.model['layers']} layers of {brushed.model['hidden']} units"
+    return text.markdown(
+        f"{' '.join(said)} Not all: the seeds do not agree on the sign. Models of {size}, errors "
+        "one step ahead against those by the weights as they are."
+    )

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -16,14 +17,13 @@ from app.data.called import names, task, told_apart
 from app.figures.curves import group_curves, run_curves, short_title
 from app.figures.ends import label_ends
 from app.parts import address, shortlinks, timeline, widgets
-from app.parts.plot import Drawn, Follow, Point, chart
+from app.parts.plot import Drawn, Follow, Point, View, chart
 from app.parts.scope import ALIKE, LINES, Scope
-from app.views.curves import measure, numbers, runs, zoom
+from app.views.curves import measure, numbers, runs
 from app.views.curves.measure import Measure
 from tom.analysis import statistics
 from tom.analysis.curves import Curve, Group
 from tom.analysis.scores import common_step
-from tom.analysis.settings import NONE
 from tom.config import SAC_ALONE
 from tom.metrics import describe
 from tom.plugins import CHARTS
@@ -34,7 +34,6 @@ CURVES, STATISTICS, SETTINGS, RUNS = "Curves", "Statistics", "Settings", "Runs"
 REFRESH_S = 5
 CLICKED = "curves: a point was clicked"
 PANEL_HEIGHT = 300
-MOST_COLUMNS = 24
 _PANELS: VersionedCache[Drawn] = VersionedCache()
 NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
 
@@ -42,10 +41,7 @@ NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
 def page(scope: Scope) -> None:
     """One row of controls; below it panels, statistics, settings or the table of runs."""
     row = st.container(horizontal=True, vertical_alignment="center", gap="small")
-    section = address.choose_one(
-        row.segmented_control, "Part", [CURVES, STATISTICS, SETTINGS, RUNS], "part", CURVES,
-        required=True, label_visibility="collapsed",
-    )  # fmt: skip
+    section = address.choose_part([CURVES, STATISTICS, SETTINGS, RUNS], place=row)
     if section == CURVES:
         _curves(scope, row)
     elif section == RUNS:
@@ -53,17 +49,16 @@ def page(scope: Scope) -> None:
     elif not scope.shown:
         st.info("Every run is hidden: the eyes at the left open again.")
     elif section == SETTINGS:
-        _settings(scope.shown)
+        runs.settings(scope.shown)
     else:
         numbers.draw(scope)
     address.write()  # before the end, because Link reads it
     with row:
         shortlinks.button()
-    listing = readers.listing(session.links().store)
     for run in scope.shown:
         # Without the problems of weights: reading the profiles of every run takes seconds.
         widgets.show_problems(run, readers.metrics_problems(run))
-    widgets.show_store_problems(listing.problems)
+    widgets.show_store_problems(readers.listing(session.links().store).problems)
 
 
 def _curves(scope: Scope, row: DeltaGenerator) -> None:
@@ -92,11 +87,11 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
     if not envs:
         st.info("Every run is hidden: the eyes at the left open again.")
         return
-    seen = zoom.parts(how.axes.x)
+    seen = measure.zoom(how.axes.x)
     first: tuple[list[Curve], list[Group]] | None = None
-    places = [(env, metric) for metric in metrics for env in envs]
+    on_steps = how.axes.x == measure.STEPS
     grid = st.container(horizontal=True, key="grid")
-    for env, metric in places:
+    for metric, env in product(metrics, envs):
         here = [run for run in scope.shown if run.env == env]
         curves, grouped = measure.grouped(
             here, scope.kinds, metric, how.axes.x, how.statistic, how.band
@@ -113,9 +108,10 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
             if figure is not None:
                 chart(
                     figure, f"curve {env} {metric}", f"{metric} against {how.axes.x} in {env}",
-                    partial(_clicked, curves) if how.axes.x == measure.STEPS else None,
-                    view=zoom.view(seen, metric), viewed=partial(zoom.remember, seen, metric),
-                    follow=Follow(cursor=how.axes.x == measure.STEPS), linked="curves",
+                    partial(_clicked, curves) if on_steps else None,
+                    view=View(seen.get(""), seen.get(metric)),
+                    viewed=partial(measure.remember, seen, metric),
+                    follow=Follow(cursor=on_steps), linked="curves",
                     caption=caption(metric, env, grouped, how, scope),
                 )  # fmt: skip
     if first is not None:
@@ -191,7 +187,10 @@ def _below(
     files: widgets.Files = {"Single runs": (lambda: tables.runs(curves, how.axes.x), "runs")}
     if grouped:
         st.caption(remarks(grouped, curves, how, scope))
-        table = best_as_highest(tables.summary(grouped), metric)
+        table = tables.summary(grouped)
+        if metric not in measure.METRICS.values():
+            # The highest value of another metric, such as an error, may be the worst.
+            table = table.rename(columns=lambda name: name.replace("best", "highest", 1))
         st.markdown(f"**{text.markdown(metric)}** at the step that all runs of a group reach")
         st.dataframe(in_words(table), hide_index=True, column_config=columns())
         lines = (lambda: tables.bands(grouped, how.axes.x), "lines")
@@ -201,33 +200,34 @@ def _below(
 
 def remarks(grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, scope: Scope) -> str:
     """What a reader of the figures has to know of their lines and bands."""
-    unit = scope.unit
-    words = [f"Line: {NAMES[how.statistic]} over {unit}."]
-    if how.band == "bootstrap":
-        words.append(f"Band: 95 % bootstrap interval of it (1000 resamples of the {unit}).")
-    elif how.band == "deviation":
-        words.append(f"Band: one standard deviation of the {unit} around their mean.")
-    if not scope.only_seeds_differ:
-        words.append(f"Grouped by {text.markdown(scope.by)}: all else may differ.")
+    unit, cut = scope.unit, scope.cut_short
     few = min((group.n for group in grouped if group.n > 1), default=0)
-    if few and (warning := statistics.remark(few)):
-        words.append(f"{text.markdown(warning.replace('seeds', unit)).capitalize()}.")
-    if any(group.n == 1 for group in grouped):
-        words.append("One seed has no band: a single run says little.")
-    if any(not group.complete.all() for group in grouped):
-        words.append("Dotted: not all n runs reach these steps.")
-    if any(group.interpolated for group in grouped):
-        words.append("Runs that were recorded at other steps are interpolated between theirs.")
-    if unlike_ends(grouped):
-        words.append("Rows of the table end at different steps: Statistics compares at one.")
-    if scope.only_seeds_differ and measure.repeated(grouped):
-        words.append("A seed that was run twice counts twice.")
-    if any(curve.learner == SAC_ALONE for curve in curves):
-        words.append("The first half of a recording of SAC is random steps, which count here.")
-    if cut := scope.cut_short:
-        which = ", ".join(f"{names(cut)[run.run_id]} ({run.status.env_step:,})" for run in cut)
-        words.append(f"Left out, as they ended well before the others: {text.markdown(which)}.")
-    return " ".join(words)
+    warning = text.markdown(statistics.remark(few).replace("seeds", unit)) if few else ""
+    which = ", ".join(f"{names(cut)[run.run_id]} ({run.status.env_step:,})" for run in cut)
+    bands = {
+        "bootstrap": f"Band: 95 % bootstrap interval of it (1000 resamples of the {unit}).",
+        "deviation": f"Band: one standard deviation of the {unit} around their mean.",
+    }
+    said = {
+        f"Line: {NAMES[how.statistic]} over {unit}.": True,
+        bands.get(how.band, ""): how.band in bands,
+        f"Grouped by {text.markdown(scope.by)}: all else may differ.": unit == "runs",
+        f"{warning.capitalize()}.": bool(warning),
+        "One seed has no band: a single run says little.": any(g.n == 1 for g in grouped),
+        "Dotted: not all n runs reach these steps.": not all(g.complete.all() for g in grouped),
+        "Runs that were recorded at other steps are interpolated between theirs.": any(
+            group.interpolated for group in grouped
+        ),
+        "Rows of the table end at different steps: Statistics compares at one.": unlike_ends(
+            grouped
+        ),
+        "A seed that was run twice counts twice.": unit == "seeds" and measure.repeated(grouped),
+        "The first half of a recording of SAC is random steps, which count here.": any(
+            curve.learner == SAC_ALONE for curve in curves
+        ),
+        f"Left out, as they ended well before the others: {text.markdown(which)}.": bool(cut),
+    }
+    return text.unbroken(" ".join(words for words, holds in said.items() if holds))
 
 
 def unlike_ends(grouped: Sequence[Group]) -> bool:
@@ -236,16 +236,6 @@ def unlike_ends(grouped: Sequence[Group]) -> bool:
     for group in grouped:
         ends.setdefault(group.env, []).append(common_step(group.curves))
     return any(min(of) < ALIKE * max(of) for of in ends.values())
-
-
-def best_as_highest(table: pd.DataFrame, metric: str) -> pd.DataFrame:
-    """The table with `highest` for `best` unless `metric` is a return.
-
-    The highest value of other metrics, such as an error, may be the worst.
-    """
-    if metric in measure.METRICS.values():
-        return table
-    return table.rename(columns=lambda name: name.replace("best", "highest", 1))
 
 
 def in_words(table: pd.DataFrame) -> pd.DataFrame:
@@ -265,39 +255,17 @@ def in_words(table: pd.DataFrame) -> pd.DataFrame:
 def columns() -> dict:
     """How the table shows its columns."""
     number = st.column_config.NumberColumn
+    value = {
+        "final": "of the value at that step, as the line has it",
+        "best": "of the best value up to that step",
+        "highest": "of the highest value up to that step",
+    }
     return {
         "settings": st.column_config.TextColumn("settings", width="medium"),
         "n": number("n", width=45, help="runs in the group"),
         "steps": number("up to", format="localized", help="where the shortest of the n runs ends"),
-        "final": number(
-            "final", format="%.4g", help="over runs, of the value at that step, as the line has it"
-        ),
         **{
-            name: number(
-                name, format="%.4g", help=f"over runs, of the {name} value up to that step"
-            )
-            for name in ("best", "highest")
+            name: number(name, format="%.4g", help=f"over runs, {words}")
+            for name, words in value.items()
         },
     }
-
-
-def _settings(shown: Sequence[RunReader]) -> None:
-    """The settings that differ, one column per run; those unlike the first run's are marked."""
-    some = shown[:MOST_COLUMNS]
-    table = tables.settings(some, [run.name for run in some])
-    if table.empty:
-        st.info("These runs have the same settings." if len(shown) > 1 else "One run alone.")
-        return
-    words = f"The newest {MOST_COLUMNS} of {len(shown)} runs. " if len(shown) > len(some) else ""
-    st.caption(
-        f"{words}Settings that are the same everywhere are left out; values unlike the first run's "
-        f"are marked; {text.markdown(NONE)}: the run's version did not have it."
-    )
-
-    def marked(row: pd.Series) -> list[str]:
-        style = "font-weight: 650; background-color: rgba(200, 68, 28, 0.2)"
-        return ["" if i < 2 or value == row.iloc[1] else style
-                for i, value in enumerate(row)]  # fmt: skip
-
-    st.dataframe(table.style.apply(marked, axis=1), hide_index=True)
-    widgets.downloads({"Settings": (lambda: table, "settings")}, "compare")

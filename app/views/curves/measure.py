@@ -1,5 +1,6 @@
-"""The page's choices of a metric, its axis, and how runs are put together."""
+"""The page's choices of a metric, its axis and its zoom, and how runs are put together."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ from app.data import readers
 from app.data.cache import VersionedCache
 from app.figures.curves import Axes
 from app.parts import address
+from app.parts.plot import Part, View
 from tom.analysis.curves import Band, Curve, Group, Statistic, curve_points, groups, points_against
 from tom.analysis.settings import Kind
 from tom.record.reader import RunReader
@@ -27,8 +29,7 @@ WINDOWS = (1, 3, 5, 9, 15, 25, 51, 101)
 FIRST = ("eval/return", "exam/error", "exam/footprint", "weights/ess", "exam/rollout_error")
 """the metrics that users want most; they come before the others"""
 IQM = "interquartile mean: the mean of the middle half of the runs; of fewer than four the mean"
-
-
+ZOOM = "zoom"
 _GROUPED: VersionedCache[tuple[list[Curve], list[Group]]] = VersionedCache()
 
 
@@ -130,3 +131,35 @@ def advancing(curves: Sequence[Curve]) -> bool:
 def repeated(grouped: Sequence[Group]) -> bool:
     """Whether a seed was run twice in a group."""
     return any(len({curve.seed for curve in group.curves}) < group.n for group in grouped)
+
+
+def zoom(measured: object) -> dict[str, Part]:
+    """The shown part of each y axis by its metric, and of the x axis of all by the empty name.
+
+    In the address as `zoom=~0~50000` and `zoom=eval/return~-100~3000`. A zoom belongs to what was
+    `measured` and is dropped when that changes.
+    """
+    seen = address.value_of(ZOOM, zoom_of, measured)
+    address.keep(ZOOM, [f"{name}~{low:.5g}~{high:.5g}" for name, (low, high) in seen.items()])
+    return seen
+
+
+def zoom_of(words: Sequence[str]) -> dict[str, Part]:
+    """The parts that the words of an address name; malformed words are left out."""
+    seen = {}
+    for word in words:
+        name, *ends = word.rsplit("~", 2)
+        try:
+            low, high = map(float, ends)
+        except ValueError:
+            continue
+        if math.isfinite(low) and math.isfinite(high) and low < high:
+            seen[name] = low, high
+    return seen
+
+
+def remember(seen: Mapping[str, Part], metric: str, shown: View) -> None:
+    """Show this part of a metric's panel from now on, and the same x axis in all others."""
+    changed = {name: part for name, part in seen.items() if name not in ("", metric)}
+    changed |= {name: part for name, part in (("", shown.x), (metric, shown.y)) if part}
+    st.session_state[ZOOM] = changed

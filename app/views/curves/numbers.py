@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import streamlit as st
 from numpy.typing import NDArray
-from streamlit.delta_generator import DeltaGenerator
 
 from app import text
 from app.data.tables import default_level, reached
@@ -28,9 +27,7 @@ from tom.analysis.scores import (
     interval,
     scores_of,
 )
-from tom.analysis.statistics import exchangeable
 from tom.config import SAC_ALONE
-from tom.record.reader import RunReader
 
 NO_SAC = (
     "Recordings of SAC are left out: their first half is random steps that SAC never learns from, "
@@ -41,75 +38,11 @@ NO_SAC = (
 def draw(scope: Scope) -> None:
     """The distribution of one score per run in one environment."""
     row = st.columns([4, 3, 3, 3], vertical_alignment="bottom")
-    runs, looks = scope.shown, scope.looks
-    env, name, score = _pick(row, runs)
-    here = [run for run in runs if run.env == env and run.learner != SAC_ALONE]
-    if len(here) < sum(run.env == env for run in runs):
-        st.caption(NO_SAC)
-    _, grouped = measure.grouped(here, scope.kinds, name)
-    if not grouped:
-        st.info("None of these runs has been evaluated yet.")
-        return
-    until = common_step(curve for group in grouped for curve in group.curves)
-    early = [group for group in grouped if begun(group.curves, until)]
-    late = [text.markdown(looks[g.kind].title) for g in grouped if g not in early]
-    grouped = early
-    if not grouped:
-        st.info(f"Nothing was recorded up to step {until:,.0f}, where the first run ends.")
-        return
-    since = common_start(curve for group in grouped for curve in group.curves)
-    scores = [scores_of(group.curves, score, until, since) for group in grouped]
-    everything = np.concatenate(scores)
-    level = address.number_input(
-        row[2].number_input, "Steps to reach", "reach", default_level(everything),
-        (env, name, score), step=None, format="%.6g",
-        help="sample efficiency: the first recorded step at which a run is at this value",
-    )  # fmt: skip
-    drawn = [looks[group.kind] for group in grouped]
-    names = [look.title for look in drawn]
-    few = statistics.remark([group.n for group in grouped]) or "Ten seeds or more"
-    twice = " A seed that was run twice counts twice." if measure.repeated(grouped) else ""
-    st.caption(
-        f"{text.markdown(few.replace('seed', scope.unit.removesuffix('s')))}."
-        + twice
-        + f" Scores are those up to step {until:,.0f}, which every run reaches."
-        + (f" Heights are those from step {since:,.0f}, which every run has." * (score == HEIGHT))
-        + (f" Left out, as nothing was recorded until then: {', '.join(late)}." if late else "")
-    )
-    keep = " ".join([env, name, *(curve.run_id for group in grouped for curve in group.curves)])
-    _profiles(drawn, scores, score, keep)
-    both = list(combinations(range(len(grouped)), 2))
-    ps = [exchangeable([scores[i]], [scores[j]]) for i, j in both]
-    pairs = [
-        Improvement(
-            names[i],
-            names[j],
-            statistics.probability_of_improvement([scores[i]], [scores[j]]),
-            p,
-            of_all,
-        )
-        for (i, j), p, of_all in zip(both, ps, statistics.corrected(ps), strict=True)
-    ]
-    _improvement(pairs, [drawn[i].colour for i, _ in both], f"{score} {keep}")
-    table = reached(grouped, names, level, until)
-    _efficiency(table, name, level, until)
-    widgets.downloads(
-        {
-            "Scores": (lambda: _scores(names, grouped, scores), "scores"),
-            "Improvement": (lambda: _pairs(pairs), "improvement"),
-            "Steps to reach": (lambda: table, "reached"),
-        },
-        name,
-    )
-
-
-def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunReader]) -> tuple[str, str, str]:
-    """The chosen environment, metric and score of a run."""
-    envs = sorted({run.env for run in runs})
+    envs = sorted({run.env for run in scope.shown})
     env = envs[0]
     if len(envs) > 1:
         env = address.choose_one(row[3].selectbox, "Task compared", envs, "env", env)
-    metric = address.choose_one(
+    of = address.choose_one(
         row[0].segmented_control, "Of", list(measure.METRICS), "of", measure.RETURN, required=True
     )
     score = address.choose_one(
@@ -118,7 +51,71 @@ def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunReader]) -> tuple[str
         "advantage; mean height: area under the curve over its length, from the first step that "
         "every run has",
     )  # fmt: skip
-    return env, measure.METRICS[metric], score
+    metric = measure.METRICS[of]
+    here = [run for run in scope.shown if run.env == env and run.learner != SAC_ALONE]
+    if len(here) < sum(run.env == env for run in scope.shown):
+        st.caption(NO_SAC)
+    _, every = measure.grouped(here, scope.kinds, metric)
+    if not every:
+        st.info("None of these runs has been evaluated yet.")
+        return
+    until = common_step(curve for group in every for curve in group.curves)
+    grouped = [group for group in every if begun(group.curves, until)]
+    if not grouped:
+        st.info(f"Nothing was recorded up to step {until:,.0f}, where the first run ends.")
+        return
+    since = common_start(curve for group in grouped for curve in group.curves)
+    scores = [scores_of(group.curves, score, until, since) for group in grouped]
+    level = address.number_input(
+        row[2].number_input, "Steps to reach", "reach", default_level(np.concatenate(scores)),
+        (env, metric, score), step=None, format="%.6g",
+        help="sample efficiency: the first recorded step at which a run is at this value",
+    )  # fmt: skip
+    _remarks(scope, every, grouped, until, since if score == HEIGHT else None)
+    looks = [scope.looks[group.kind] for group in grouped]
+    names = [look.title for look in looks]
+    keep = " ".join([env, metric, *(curve.run_id for group in grouped for curve in group.curves)])
+    _profiles(looks, scores, score, keep)
+    pairs = _improvement(looks, scores, f"{score} {keep}")
+    table = reached(grouped, names, level, until)
+    st.markdown(
+        f"**Sample efficiency**: env steps until {text.markdown(metric)} is {level:,.6g}; "
+        f"runs are followed up to step {until:,.0f}, which every run reaches"
+    )
+    steps = {
+        name: [f"{at:,.0f}" if np.isfinite(at) else "not reached" for at in table[name]]
+        for name in ("median step", "first")
+    }
+    st.dataframe(table.assign(**steps).rename(columns={"first": "first run"}), hide_index=True)
+    widgets.downloads(
+        {
+            "Scores": (lambda: _scores(names, grouped, scores), "scores"),
+            "Improvement": (lambda: pairs, "improvement"),
+            "Steps to reach": (lambda: table, "reached"),
+        },
+        metric,
+    )
+
+
+def _remarks(
+    scope: Scope,
+    every: Sequence[Group],
+    grouped: Sequence[Group],
+    until: float,
+    since: float | None,
+) -> None:
+    """What a reader of the scores has to know; `since`: from where on heights count."""
+    few = statistics.remark([group.n for group in grouped]) or "Ten seeds or more"
+    words = [f"{text.markdown(few.replace('seed', scope.unit.removesuffix('s')))}."]
+    if measure.repeated(grouped):
+        words.append("A seed that was run twice counts twice.")
+    words.append(f"Scores are those up to step {until:,.0f}, which every run reaches.")
+    if since is not None:
+        words.append(f"Heights are those from step {since:,.0f}, which every run has.")
+    late = [text.markdown(scope.looks[g.kind].title) for g in every if g not in grouped]
+    if late:
+        words.append(f"Left out, as nothing was recorded until then: {', '.join(late)}.")
+    st.caption(" ".join(words))
 
 
 def profile(look: Look, scores: NDArray, at: NDArray) -> Profile:
@@ -135,23 +132,37 @@ def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str, keep
     at = np.unique(np.append(everything, ends))  # shares change at scores alone
     of_groups = [profile(look, values, at) for look, values in zip(looks, scores, strict=True)]
     with st.container(border=True):
-        st.markdown("**Performance profile**: share of runs above a score, 95 % bootstrap band")
+        title = "**Performance profile**: share of runs above a score, 95 % bootstrap band"
+        st.markdown(text.unbroken(title))
         label = f"share of runs whose {score} is above a threshold"
         chart(profiles(of_groups, at, score, 340, keep), "performance profile", label)
-    rows = []
-    for look, values in zip(looks, scores, strict=True):
-        row: dict[str, object] = {"group": look.title, "n": len(values)}
-        for statistic in ("mean", "median", "iqm"):
-            row[statistic] = str(interval(values, statistic))
-        rows.append(row)
-    st.markdown(f"**{score.capitalize()}** of the runs, with 95 % bootstrap intervals")
+    rows = [
+        {"group": look.title, "n": len(values)}
+        | {statistic: str(interval(values, statistic)) for statistic in ("mean", "median", "iqm")}
+        for look, values in zip(looks, scores, strict=True)
+    ]
+    title = f"**{score.capitalize()}** of the runs, with 95 % bootstrap intervals"
+    st.markdown(text.unbroken(title))
     st.dataframe(pd.DataFrame(rows), hide_index=True, column_config={"iqm": "IQM"})
 
 
-def _improvement(pairs: Sequence[Improvement], colours: Sequence[str], keep: str) -> None:
-    if not pairs:
+def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) -> pd.DataFrame:
+    """Draw who beats whom, and return it as a table."""
+    both = list(combinations(range(len(looks)), 2))
+    if not both:
         st.caption("One group alone has nobody to be better than.")
-        return
+        return pd.DataFrame()
+    ps = [statistics.exchangeable([scores[i]], [scores[j]]) for i, j in both]
+    pairs = [
+        Improvement(
+            looks[i].title,
+            looks[j].title,
+            statistics.probability_of_improvement([scores[i]], [scores[j]]),
+            p,
+            of_all,
+        )
+        for (i, j), p, of_all in zip(both, ps, statistics.corrected(ps), strict=True)
+    ]
     with st.container(border=True):
         st.markdown(
             "**Probability of improvement**: that a run of the first beats a run of the second",
@@ -159,44 +170,24 @@ def _improvement(pairs: Sequence[Improvement], colours: Sequence[str], keep: str
             "where a group has one; p: by permutation of the runs, right for few; corrected: for "
             "the number of pairs (Holm), and not for other pages and steps that were looked at",
         )
+        colours = [looks[i].colour for i, _ in both]
         figure = improvement(pairs, colours, 90 + 40 * len(pairs), keep)
         chart(figure, "improvement", "probability that a run of one group beats one of another")
-
-
-def _efficiency(table: pd.DataFrame, name: str, level: float, until: float) -> None:
-    st.markdown(
-        f"**Sample efficiency**: env steps until {text.markdown(name)} is {level:,.6g}; "
-        f"runs are followed up to step {until:,.0f}, which every run reaches"
-    )
-    st.dataframe(_shown(table), hide_index=True)
+    return pd.DataFrame(
+        {
+            "first": pair.first, "second": pair.second, "probability": pair.probability.value,
+            "low": pair.probability.low, "high": pair.probability.high, "p": pair.p,
+            "p corrected": pair.corrected,
+        }
+        for pair in pairs
+    )  # fmt: skip
 
 
 def _scores(
     names: Sequence[str], grouped: Sequence[Group], scores: Sequence[NDArray]
 ) -> pd.DataFrame:
     return pd.DataFrame(
-        [
-            {"group": name, "run": curve.run_id, "seed": curve.seed, "score": value}
-            for name, group, values in zip(names, grouped, scores, strict=True)
-            for curve, value in zip(group.curves, values, strict=True)
-        ]
+        {"group": name, "run": curve.run_id, "seed": curve.seed, "score": value}
+        for name, group, values in zip(names, grouped, scores, strict=True)
+        for curve, value in zip(group.curves, values, strict=True)
     )
-
-
-def _pairs(pairs: Sequence[Improvement]) -> pd.DataFrame:
-    return pd.DataFrame(
-        [
-            {"first": pair.first, "second": pair.second, "probability": pair.probability.value,
-             "low": pair.probability.low, "high": pair.probability.high, "p": pair.p,
-             "p corrected": pair.corrected}
-            for pair in pairs
-        ]
-    )  # fmt: skip
-
-
-def _shown(table: pd.DataFrame) -> pd.DataFrame:
-    """The table as text; a level that is not reached has no step."""
-    shown = table.copy()
-    for name in ("median step", "first"):
-        shown[name] = [f"{at:,.0f}" if np.isfinite(at) else "not reached" for at in table[name]]
-    return shown.rename(columns={"first": "first run"})

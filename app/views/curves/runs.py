@@ -1,4 +1,4 @@
-"""Names, tags and notes of runs, and the trash."""
+"""The runs as tables: names, tags and notes, the trash, and the settings that differ."""
 
 from collections.abc import Callable, Sequence
 
@@ -7,10 +7,11 @@ import pandas as pd
 import streamlit as st
 
 from app import session, text
-from app.data import readers
+from app.data import readers, tables
+from app.parts import widgets
 from app.parts.scope import Scope, toggle
 from app.theme import learner_label
-from tom.analysis.settings import differences
+from tom.analysis.settings import NONE, differences
 from tom.errors import UserError
 from tom.record import manage
 from tom.record.labels import NAME_LENGTH, NOTE_LENGTH
@@ -19,7 +20,7 @@ from tom.record.store import Store
 
 ALREADY = ("env", "learner", "preset", "seed", "steps")
 """settings that have columns of their own"""
-MOST_SETTINGS = 12
+MOST_SETTINGS, MOST_COLUMNS = 12, 24
 
 
 def draw(scope: Scope) -> None:
@@ -165,3 +166,25 @@ def _columns() -> dict:
         "last": number("last return", format="%.4g"),
         "best": number("best return", format="%.4g"),
     }
+
+
+def settings(shown: Sequence[RunReader]) -> None:
+    """The settings that differ, one column per run; those unlike the first run's are marked."""
+    some = shown[:MOST_COLUMNS]
+    table = tables.settings(some, [run.name for run in some])
+    if table.empty:
+        st.info("These runs have the same settings." if len(shown) > 1 else "One run alone.")
+        return
+    words = f"The newest {MOST_COLUMNS} of {len(shown)} runs. " if len(shown) > len(some) else ""
+    st.caption(
+        f"{words}Settings that are the same everywhere are left out; values unlike the first run's "
+        f"are marked; {text.markdown(NONE)}: the run's version did not have it."
+    )
+
+    def marked(row: pd.Series) -> list[str]:
+        style = "font-weight: 650; background-color: rgba(200, 68, 28, 0.2)"
+        return ["" if i < 2 or value == row.iloc[1] else style
+                for i, value in enumerate(row)]  # fmt: skip
+
+    st.dataframe(table.style.apply(marked, axis=1), hide_index=True)
+    widgets.downloads({"Settings": (lambda: table, "settings")}, "compare")

@@ -1,31 +1,39 @@
 """Replays: recorded episodes in 3D, up to four runs side by side, and a run's film."""
 
+import shlex
+from collections.abc import Sequence
+
 import streamlit as st
 
-from app import text
+from app import session, text
 from app.data import readers
-from app.data.called import names
-from app.parts import address, rerun
+from app.data.cache import VersionedCache
+from app.data.called import names, told_apart
+from app.data.replays import DEFAULT_HORIZON
+from app.figures.weights import side_by_side
+from app.parts import address, timeline, widgets
+from app.parts.plot import chart
 from app.parts.scope import Scope
-from app.views.replays import episode, film, side
+from app.parts.widgets import EVALUATIONS
+from app.scenes.control import ReplayChoice
+from app.scenes.film import SECONDS, cinema
+from app.scenes.film.story import may_be_told, story
+from app.views.replays import episode
+from tom.errors import UserError
+from tom.record.reader import RunReader
 
 EPISODE, SIDE, FILM, RERUN = "One episode", "Side by side", "Film", "Rerun"
+MOST = 4
+"""runs side by side"""
+SIDE_HEIGHT, FILM_HEIGHT, RERUN_HEIGHT = 480, 700, 720
+LENGTHS = {"15 s": 15.0, "30 s": 30.0, "1 min": SECONDS, "2 min": 120.0}
+_STORIES: VersionedCache[dict] = VersionedCache()
 
 
 def page(scope: Scope) -> None:
     """One episode, episodes of several runs, a run's film, or all that a run has recorded."""
-    part = address.choose_one(
-        st.segmented_control, "Part", [EPISODE, SIDE, FILM, RERUN], "part", EPISODE, required=True,
-        label_visibility="collapsed",
-    )  # fmt: skip
-    if part == SIDE:
-        side.draw(scope)
-    elif part == FILM:
-        film.draw(scope)
-    elif part == RERUN:
-        _recording(scope)
-    else:
-        episode.draw(scope)
+    draw = {EPISODE: episode.draw, SIDE: _side, FILM: _film, RERUN: _recording}
+    draw[address.choose_part(list(draw))](scope)
 
 
 def _recording(scope: Scope) -> None:
@@ -35,4 +43,114 @@ def _recording(scope: Scope) -> None:
         return
     called = text.markdown(names(scope.runs)[run.run_id])
     st.caption(f"Everything that {called} has recorded, in Rerun's viewer.")
-    rerun.frame(run)
+    widgets.rerun(run, RERUN_HEIGHT)
+
+
+def _side(scope: Scope) -> None:
+    """Two to four runs: returns and weights on linked axes, replays at one step."""
+    runs = scope.shown
+    called = names(runs)
+    picked = address.choose_many(
+        f"Two to {MOST} runs", list(called), "side", called.__getitem__, _first_runs(scope),
+        max_selections=MOST,
+    )  # fmt: skip
+    chosen = [run for run_id in picked for run in runs if run.run_id == run_id]
+    if len(chosen) < 2:
+        st.info("Pick two runs or more.", icon=":material/splitscreen_vertical_add:")
+        return
+    called = told_apart(chosen)
+    parts = [
+        (called[run.run_id], widgets.curve(run, "eval/return"), readers.profiles(run))
+        for run in chosen
+    ]
+    with st.container(border=True):
+        st.markdown(
+            "**Return** and **weights**: zoom one and all follow; weights by position in the "
+            "buffer, oldest at the bottom"
+        )
+        figure = side_by_side(parts, session.mode(), 620)
+        chart(figure, "side by side", "return and weights of the runs, on linked axes")
+    evaluated = {run.run_id: run.evaluation_steps() for run in chosen}
+    steps = sorted({step for of_run in evaluated.values() for step in of_run})
+    if not steps:
+        for run in chosen:
+            widgets.left_out(run, EVALUATIONS)
+        return
+    st.markdown("**Replays** of the evaluations at or before one step")
+    step = timeline.chosen(steps)
+    timeline.draw([], steps, step)
+    row = st.columns([5, 1], vertical_alignment="bottom")
+    played = st.session_state.setdefault("side played", 0)
+    if row[1].button("Play all", icon=":material/play_arrow:", width="stretch"):
+        played = st.session_state["side played"] = played + 1
+    for first in range(0, len(chosen), 2):
+        for i, column in enumerate(st.columns(2)[: len(chosen) - first], first):
+            run = chosen[i]
+            with column:
+                _replay(run, called[run.run_id], evaluated[run.run_id], step, f"side{i}", played)
+
+
+def _first_runs(scope: Scope) -> list[str]:
+    """The newest shown run of each of the first groups, of one task."""
+    runs = [run for run in scope.shown if run.env == scope.shown[0].env]
+    newest = {scope.title(run): run.run_id for run in reversed(runs)}
+    first = [newest[title] for title in scope.order if title in newest][:MOST]
+    return first if len(first) > 1 else [run.run_id for run in runs][:2]
+
+
+def _replay(
+    run: RunReader, called: str, steps: Sequence[int], step: int, part: str, played: int
+) -> None:
+    """The last evaluation at or before a step, played `played` times from its start."""
+    before = [at for at in steps if at <= step]
+    if before:
+        words = f"step {before[-1]:,}"
+    elif {EVALUATIONS, f"other {EVALUATIONS}"}.isdisjoint(run.left_out):
+        words = "not evaluated yet"
+    else:
+        words = "left out of its small copy"
+    st.caption(f"{text.markdown(called)}, {words}")
+    if before:
+        choice = ReplayChoice(run.run_id, before[-1], 0, 0, DEFAULT_HORIZON, played, "start")
+        widgets.stage(choice, SIDE_HEIGHT, part, compact=True)
+
+
+def _film(scope: Scope) -> None:
+    """A run's whole story in a minute on one timeline, on the page and as a file."""
+    run = scope.one(may_be_told, widgets.telling)
+    if run is None:
+        st.info("No run here has a story yet: it needs two model fits and its buffer (MuJoCo).")
+        return
+    top = st.columns([6, 2], vertical_alignment="bottom")
+    chosen = address.choose_one(
+        top[0].segmented_control, "Length", list(LENGTHS), "length", "1 min", required=True
+    )
+    try:
+        with st.spinner("The story is told to the film..."):
+            version = run.version("metrics"), run.name  # the film has the name as its title
+            told = _STORIES.get(run.path, lambda: story(run), version)
+    except UserError as error:
+        widgets.left_out(run, "buffer")
+        st.warning(text.markdown(error))
+        return
+    film = cinema(told, run.learner, session.mode(), LENGTHS[chosen])
+    top[1].download_button(
+        "One HTML file", film, f"{run.run_id}-cinema.html", "text/html", key="film",
+        width="stretch", icon=":material/download:", on_click="ignore",
+        help="it opens without a server and without a network",
+    )  # fmt: skip
+    st.iframe(film, height=FILM_HEIGHT)
+    st.caption(
+        "A robot and a point of the buffer have the mean weight of the hundredth of the buffer "
+        "that they lie in, at every fit. In front: an evaluation of the newest policy kept by "
+        "then, at half speed. Space plays and stops, arrows go a second."
+    )
+    with st.expander("From a terminal", icon=":material/terminal:"):
+        words = ["tom", "studio", "--cinema", "film", "--run", run.run_id]
+        words += ["--store", session.links().store, "--theme", session.mode()]
+        st.code(shlex.join(words), language="bash")
+        st.caption(
+            "Writes cinema.html, cinema.mp4 and a small cinema.webp; needs Chromium. The film's "
+            "own button saves the MP4 where the browser can encode: on this machine, or by https."
+        )
+    widgets.left_out(run, "other evaluations")

@@ -1,18 +1,20 @@
-"""One evaluation episode in 3D, with the prediction of the run's model."""
+"""One evaluation episode in 3D, with the prediction of the run's model.
+
+The scene has the clock; the page controls it and follows it.
+"""
 
 import numpy as np
 import streamlit as st
 
-from app import glossary, text
+from app import glossary, session, text
 from app.data import readers, replays
 from app.data.called import names
 from app.data.replays import DEFAULT_HORIZON, HORIZONS, Replay
 from app.figures.replay import error_curve, observed_curves, return_curve, reward_curve
-from app.parts import address, again, empty, player, rerun, timeline, widgets
+from app.parts import address, timeline, widgets
 from app.parts.plot import Point, chart
 from app.parts.scope import Scope
-from app.parts.stage import stage
-from app.scenes.control import ReplayChoice
+from app.scenes.control import REAL_TIME, SPEEDS, Clock, ReplayChoice, Wish, clock
 from app.theme import learner_label
 from tom import readable
 from tom.envs import ROAD
@@ -25,21 +27,27 @@ CURVE_HEIGHT = 150
 """of one dimension's curves"""
 TICK_S, LISTEN_S = 0.5, 4
 """how often the page asks the scene for its clock: while it plays, and otherwise"""
+PART = "replay"
+"""the name of the frame on its page"""
+FRAME, SLIDER = "frame", "replay frame"
+ASKED = "replay asked"
+"""the page's requests: their number, the last one, and its frame"""
+NOTHING = (0, "go", 0)
 CHOSEN = "another episode was chosen"
 
 
 def draw(scope: Scope) -> None:
     """A run, an evaluation, an episode; the robot, its return and its reward."""
     run = scope.one(lambda run: bool(run.evaluation_steps()), widgets.telling)
-    empty.of_own_loop(scope, run, "evaluations")
+    scope.say_missing(run, "evaluations")
     if run is None:
-        if not empty.left_out_of_all(scope.runs, empty.EVALUATIONS):
+        if not widgets.left_out_of_all(scope.runs, widgets.EVALUATIONS):
             st.info("No run here has been evaluated yet: its episodes are recorded then.")
         return
-    steps = run.evaluation_steps()
-    asked = timeline.chosen(sorted({*readers.profiles(run).env_step.tolist(), *steps}))
+    steps, fits = run.evaluation_steps(), readers.profiles(run).env_step.tolist()
+    asked = timeline.chosen(sorted({*fits, *steps}))
     step = at_or_before(steps, asked)
-    timeline.draw(readers.profiles(run).env_step.tolist(), steps, asked)
+    timeline.draw(fits, steps, asked)
     returns = readers.returns(run, step)
     if not len(returns):
         st.warning("The episodes of this evaluation cannot be read.")
@@ -54,76 +62,90 @@ def draw(scope: Scope) -> None:
         top[2].selectbox, "Ghost starts again every", HORIZONS, "ghost", DEFAULT_HORIZON,
         lambda n: "whole episode" if n == HORIZONS[-1] else f"{n} step{'s' * (n > 1)}",
     )  # fmt: skip
-    replay = _loaded(run, step, index, horizon)
+    try:
+        replay = replays.load(run, step, index, horizon)
+    except UserError as error:
+        st.warning(text.markdown(error))
+        return
     if replay is None:
+        st.warning("This episode cannot be read.")
         return
     _numbers(replay)
-    _link_to_buffer(run, step)
-    _, moves = player.position()
-    play = st.fragment(_play, run_every=TICK_S if moves else None)
-    play(run, replay, returns, index, horizon, moves=moves)
-    if not moves:
-        again.when_changed(player.position, LISTEN_S)
-    empty.left_out(run, "other evaluations", "other episodes")
-    widgets.show_problems(run)
-
-
-def _link_to_buffer(run: RunReader, step: int) -> None:
-    """A link to the episode of the buffer that was collected before the evaluation at `step`."""
     kept = [fit for fit in run.snapshot_steps() if fit <= step]
     if kept and run.env != ROAD:
         label = f"The buffer's newest episode at step {kept[-1]:,}, on its map"
         where = {"run": run.run_id, "step": str(kept[-1])}
         widgets.link_to("attention", label, row=str(kept[-1] - 1), **where)
+    _, moves = position()
+    play = st.fragment(_play, run_every=TICK_S if moves else None)
+    play(run, replay, returns, index, horizon, moves=moves)
+    if not moves:
+        widgets.when_changed(position, LISTEN_S)
+    widgets.left_out(run, "other evaluations", "other episodes")
+    widgets.show_problems(run)
 
 
-def _loaded(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
-    """The chosen episode; None, and why in one line, if it cannot be shown."""
-    try:
-        replay = replays.load(run, step, index, horizon)
-    except UserError as error:
-        st.warning(text.markdown(error))
-        return None
-    if replay is None:
-        st.warning("This episode cannot be read.")
-    return replay
+def _numbers(replay: Replay) -> None:
+    episode, imagined = replay.episode, replay.imagined
+    columns = st.columns(5)
+    columns[0].metric("learner", text.markdown(learner_label(replay.learner)))
+    columns[1].metric("return", readable.score(episode.undiscounted_return))
+    columns[2].metric(
+        "length", f"{episode.length:,} steps", help=f"{episode.length * replay.dt:.2f} seconds"
+    )
+    end = "time limit" if episode.truncated else "terminal state"
+    columns[3].metric("ended by", end if episode.truncated or episode.terminated else "-")
+    columns[4].metric(
+        "return, imagined",
+        "-" if imagined is None else readable.score(float(imagined.reward.sum())),
+        help="sum of the rewards that the model predicts along the ghost's path",
+    )
+    if replay.model_step is None:
+        words = f"No ghost: {text.markdown(replay.no_ghost)}."
+    elif replay.ghost is None and replay.drawn:
+        words = (
+            "No ghost: what this task observes does not hold its joints; what the model "
+            f"imagined, of step {replay.model_step:,}, is compared beside."
+        )
+    else:
+        words = "The ghost plays the recorded actions in " + (
+            f"the run's model of step {replay.model_step:,}."
+            if replay.model_step == replay.step
+            else f"the model that the run kept, of step {replay.model_step:,}: not the model of "
+            f"step {replay.step:,}."
+        )
+        if replay.drawn and not replay.road:
+            words += " Its place on the ground is integrated from its velocity."
+    st.caption(glossary.linked(words))
 
 
 def _play(
     run: RunReader, replay: Replay, returns: np.ndarray, index: int, horizon: int, *, moves: bool
 ) -> None:
     """The episode and its charts, which follow the clock of the scene during playback."""
-    if st.session_state.pop(CHOSEN, False) or player.position()[1] != moves:
+    if st.session_state.pop(CHOSEN, False) or position()[1] != moves:
         st.rerun()  # the choice of a click here is read above, and so is whether to follow
-    playing = player.follow(replay)
-    frame = player.marked(replay)
+    playing = _follow(replay)
+    frame = _marked(replay, playing=playing)
     left, right = st.columns([3, 2])
     with left:
-        viewer = address.choose_one(
-            st.segmented_control, "Viewer", [VISER, RERUN], "viewer", VISER, required=True,
-            label_visibility="collapsed",
-        )  # fmt: skip
+        viewer = address.choose_part([VISER, RERUN], "viewer", "Viewer")
         if viewer == RERUN:
             name = f"episode-{replay.step}-{index}-{horizon}.rrd"
-            rerun.show(run.run_id, [name], STAGE_HEIGHT)
+            widgets.rerun(run, STAGE_HEIGHT, name)
+        elif replay.drawn:
+            choice = _choice(run.run_id, replay, index, horizon)
+            widgets.stage(choice, STAGE_HEIGHT, PART, compact=True)
+            _controls(replay, playing=playing)
         else:
-            shown = player.choice(run.run_id, replay, index, horizon)
-            _scene(replay, frame, shown, playing=playing)
+            with st.container(border=True):
+                ghost = "" if replay.imagined is None else "; in colour: as the model imagines them"
+                st.markdown(f"**Observations**{ghost}")
+                figure = observed_curves(replay, frame, CURVE_HEIGHT)
+                label = "observations of the episode, real and imagined"
+                chart(figure, "replay observations", label)
     with right:
         _curves(run, replay, returns, index, frame)
-
-
-def _scene(replay: Replay, frame: int, choice: ReplayChoice, *, playing: bool) -> None:
-    """The robot in 3D, or curves of its observations if there is no robot."""
-    if replay.drawn:
-        stage(choice, STAGE_HEIGHT, player.PART, compact=True)
-        player.panel(replay, playing=playing)
-        return
-    with st.container(border=True):
-        ghost = "" if replay.imagined is None else "; in colour: as the model imagines them"
-        st.markdown(f"**Observations**{ghost}")
-        figure = observed_curves(replay, frame, CURVE_HEIGHT)
-        chart(figure, "replay observations", "observations of the episode, real and imagined")
 
 
 def _curves(run: RunReader, replay: Replay, returns: np.ndarray, index: int, frame: int) -> None:
@@ -133,7 +155,7 @@ def _curves(run: RunReader, replay: Replay, returns: np.ndarray, index: int, fra
         chart(figure, "replay returns", "return at every evaluation", _choose_episode)
 
     def mark(point: Point) -> None:
-        player.go_to(min(round(point.x / replay.dt), replay.episode.length))
+        go_to(min(round(point.x / replay.dt), replay.episode.length))
 
     with st.container(border=True):
         st.markdown("**Reward of each step**: click to go there")
@@ -150,49 +172,105 @@ def _curves(run: RunReader, replay: Replay, returns: np.ndarray, index: int, fra
             )  # fmt: skip
 
 
-def _numbers(replay: Replay) -> None:
-    episode = replay.episode
-    columns = st.columns(5)
-    columns[0].metric("learner", text.markdown(learner_label(replay.learner)))
-    columns[1].metric("return", readable.score(episode.undiscounted_return))
-    columns[2].metric(
-        "length", f"{episode.length:,} steps", help=f"{episode.length * replay.dt:.2f} seconds"
-    )
-    end = "time limit" if episode.truncated else "terminal state"
-    columns[3].metric("ended by", end if episode.truncated or episode.terminated else "-")
-    imagined = replay.imagined
-    columns[4].metric(
-        "return, imagined",
-        "-" if imagined is None else readable.score(float(imagined.reward.sum())),
-        help="sum of the rewards that the model predicts along the ghost's path",
-    )
-    if replay.model_step is None:
-        st.caption(glossary.linked(f"No ghost: {text.markdown(replay.no_ghost)}."))
-    else:
-        at, own = f"{replay.model_step:,}", replay.model_step == replay.step
-        if replay.ghost is None and replay.drawn:
-            st.caption(
-                "No ghost: what this task observes does not hold its joints; what the model "
-                f"imagined, of step {at}, is compared beside."
-            )
-            return
-        whose = (
-            f"the run's model of step {at}"
-            if own
-            else f"the model that the run kept, of step {at}: not the model of step {replay.step:,}"
-        )
-        place = (
-            ""
-            if replay.road or not replay.drawn
-            else " Its place on the ground is integrated from its velocity."
-        )
-        st.caption(glossary.linked(f"The ghost plays the recorded actions in {whose}.{place}"))
-
-
 def _choose_episode(point: Point) -> None:
     """Choose the evaluation of a clicked point, or the episode of a clicked mark."""
-    episode = point.meta[point.index] if point.meta else 1
     timeline.go_to(int(point.x))
-    st.session_state["episode"] = episode
-    player.go_to(0)
+    st.session_state["episode"] = point.meta[point.index] if point.meta else 1
+    go_to(0)
     st.session_state[CHOSEN] = True
+
+
+def _follow(replay: Replay) -> bool:
+    """Follow the scene, which plays or has controls of its own; returns whether it plays.
+
+    A scene that has not yet heard the page's last request is not followed.
+    """
+    now = _clock()
+    if now is None or FRAME not in st.session_state:
+        return False
+    if now.asked == st.session_state.get(ASKED, NOTHING)[0]:
+        st.session_state[FRAME] = min(now.frame, replay.episode.length)
+    return now.playing
+
+
+def position() -> tuple[int, bool]:
+    """The scene's step and whether it plays; the page's wish until the scene has heard it."""
+    now, (asked, wish, _) = _clock(), st.session_state.get(ASKED, NOTHING)
+    if now is None or now.asked != asked:
+        return st.session_state.get(FRAME, 0), now is not None and wish == "play"
+    return now.frame, now.playing
+
+
+def _marked(replay: Replay, *, playing: bool) -> int:
+    """The shown step of the episode: the scene's, or that of the address, which a pause writes."""
+    before = st.session_state.get(FRAME)
+    frame = address.value_of(FRAME, address.whole_number) or 0
+    if frame > replay.episode.length:  # chosen in a longer episode
+        frame = 0
+    if frame != before:
+        go_to(frame)
+    address.keep(FRAME, [str(frame)] if frame and not playing else [])
+    return frame
+
+
+def go_to(frame: int) -> None:
+    """Ask the scene to go to a step."""
+    st.session_state[FRAME] = frame
+    _ask("go", frame)
+
+
+def _choice(run_id: str, replay: Replay, index: int, horizon: int) -> ReplayChoice:
+    """The message for the scene: the episode and the last request."""
+    asked, wish, frame = st.session_state.get(ASKED, NOTHING)
+    state = st.session_state
+    return ReplayChoice(
+        run_id, replay.step, index, frame, horizon, asked=asked, wish=wish,
+        speed=state.get("replay speed", REAL_TIME), ghost=bool(state.get("replay ghost", True)),
+        follow=bool(state.get("replay follows", True)),
+    )  # fmt: skip
+
+
+def _controls(replay: Replay, *, playing: bool) -> None:
+    """Below the stage: play or pause, the step, the speed, the ghost, the camera."""
+    last = replay.episode.length
+
+    def toggle() -> None:
+        now = _clock()
+        if now is not None and now.playing:
+            st.session_state[FRAME] = now.frame
+            _ask("pause", now.frame)
+            return
+        if st.session_state[FRAME] >= last:
+            st.session_state[FRAME] = 0
+        _ask("play", st.session_state[FRAME])
+
+    icon = ":material/pause:" if playing else ":material/play_arrow:"
+    row = st.columns([2, 6, 3], vertical_alignment="bottom")
+    label = "Pause" if playing else "Play"
+    row[0].button(label, icon=icon, key="replay play", width="stretch", on_click=toggle)
+    if st.session_state.get(SLIDER) != st.session_state[FRAME]:  # else it would interrupt a drag
+        st.session_state[SLIDER] = st.session_state[FRAME]
+    row[1].slider(
+        "Step of the episode", 0, last, key=SLIDER,
+        on_change=lambda: go_to(int(st.session_state[SLIDER])),
+    )  # fmt: skip
+    row[2].selectbox("Speed", list(SPEEDS), list(SPEEDS).index(REAL_TIME), key="replay speed")
+    row = st.columns(2)
+    row[0].toggle("Model's ghost", True, key="replay ghost", disabled=replay.ghost is None)
+    row[1].toggle("Camera follows", True, key="replay follows")
+
+
+def _ask(wish: Wish, frame: int) -> None:
+    asked = st.session_state.get(ASKED, NOTHING)[0]
+    st.session_state[ASKED] = (asked + 1, wish, frame)
+
+
+def _clock() -> Clock | None:
+    """The scene's clock; None also if there is no scene server."""
+    links = session.links()
+    if not links.folder:
+        return None
+    try:
+        return clock(links.control, f"{session.client()}{PART}")
+    except OSError:
+        return None

@@ -3,9 +3,10 @@
 from pathlib import Path
 
 import pytest
+from studio_pages import Show
 from studio_runs import PENDULUM_TOM, info
 
-from app.parts import cards, form
+from app.parts import form, start
 from tom.cli.parser import leaf_fields
 from tom.config import OnlineConfig
 from tom.errors import UserError
@@ -54,8 +55,9 @@ def test_a_training_that_only_explores_is_refused() -> None:
     assert form.command("road-and-rocks", "tom", "paper", 0, {"steps": "12"}, "runs")
 
 
-def test_the_command_to_go_on_names_the_store(store: Path) -> None:
-    words = cards.resume(info(store, PENDULUM_TOM), "my runs")
+def test_the_command_to_go_on_names_the_store(store: Path, show: Show) -> None:
+    show(Path("my runs"))
+    words = start.resume(info(store, PENDULUM_TOM))
     assert words == f"tom train --resume {PENDULUM_TOM} --store 'my runs'"
 
 

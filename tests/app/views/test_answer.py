@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from studio_pages import Show, draw
+from studio_pages import Show, draw, plain
 
 import tom
 from app.data import answer
@@ -50,7 +50,7 @@ def at(step: float, curve: list[tuple[int, float]]) -> float:
 def sentences(show: Show) -> list[str]:
     show(RUNS)
     page = draw("answer", task="hopper")
-    return [one.value for one in page.markdown]
+    return [plain(one.value) for one in page.markdown]
 
 
 def test_the_share_of_the_newest_fifth_is_that_of_the_files(groups, sentences):

@@ -16,9 +16,10 @@ from studio_runs import PENDULUM_TOM, WAITING, info, stand_in, undescribed, with
 from app.data import buffer_map, trainings, weighings
 from app.data.weighings import Brushed, Weighing
 from app.figures.why import error_bars
+from app.parts import jobs
 from app.theme import Mode
-from app.views.attention.brush import BEGUN, command
-from app.views.attention.row_list import table
+from app.views.attention.in_buffer import table
+from app.views.attention.why import brushing, command
 from tom.analysis.brush import REGION, REST
 from tom.cli import main
 from tom.record.decode import read_table
@@ -138,16 +139,17 @@ def test_a_damaged_report_is_no_brush(model: object, results: object, tmp_path: 
 
 
 def test_the_rows_of_a_brush_are_kept_until_it_ends(
-    studio: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    studio: None, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trainings, "start", lambda words: stand_in(words, WAITING))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     app = in_buffer(run=PENDULUM_TOM, step=str(FIT), where="weight rank 99..")
     app.button(key="brush it").click().run()
-    begun = app.session_state[BEGUN]
+    job = brushing(info(store, PENDULUM_TOM))
+    begun = jobs.begun()[job]
     try:
         assert len(np.loadtxt(begun.words[begun.words.index("--rows") + 1])) == 3
-        app.button(key=f"cancel {BEGUN}").click().run()
+        app.button(key=f"stop {job}").click().run()
     finally:
         begun.process.kill()
     wait_for(lambda: not list(tmp_path.iterdir()))
@@ -158,10 +160,10 @@ def test_a_brush_that_failed_says_so_until_the_next(brushed: Path) -> None:
     words = command(PENDULUM_TOM, "no-such-file", FIT, "", (0, 4), str(brushed))
     failed = trainings.start(words)
     assert failed.process.wait(60) == 2
-    app.session_state[BEGUN] = failed
+    jobs.begun()[brushing(info(brushed, PENDULUM_TOM))] = failed
     for _ in range(2):
         app.run()
-        assert any("No such file" in said.value for said in app.error)
+        assert any("No such file" in said.value for said in app.code)
 
 
 @pytest.mark.parametrize("mode", ["light", "dark"])

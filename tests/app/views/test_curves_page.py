@@ -26,7 +26,7 @@ from app.parts.plot import Point, View
 from app.servers.pages import routes
 from app.theme import learner_colour
 from app.views import curves as page
-from app.views.curves import measure, numbers, unlike_ends, zoom
+from app.views.curves import measure, numbers, unlike_ends
 from app.views.curves.measure import in_order
 from tom.analysis.curves import Curve, Group, aggregate
 from tom.analysis.scores import BEST, FINAL
@@ -227,9 +227,9 @@ def test_a_zoom_is_read_as_it_was_written(low: float, width: float, axis: str) -
     name = "" if axis == "x" else "mine/a~b"
     low, high = (float(f"{end:.5g}") for end in (low, low + width))
     seen = {name: (low, high)} if low < high else {}
-    assert zoom.from_words([f"{name}~{low:.5g}~{high:.5g}"]) == seen
+    assert measure.zoom_of([f"{name}~{low:.5g}~{high:.5g}"]) == seen
     for nothing in ("", "ant", "ant~1~2~", "ant~2~1", "ant~nan~1", "~~~~", "ant~0~inf"):
-        assert zoom.from_words([nothing]) == {}
+        assert measure.zoom_of([nothing]) == {}
 
 
 def test_a_zoom_is_in_the_address_and_its_x_axis_is_that_of_all_panels() -> None:
@@ -247,12 +247,12 @@ def test_a_zoom_out_of_one_panel_leaves_the_heights_of_the_others(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     state: dict = {}
-    monkeypatch.setattr(zoom.st, "session_state", state)
+    monkeypatch.setattr(measure.st, "session_state", state)
     seen = {"": (0.0, 9.0), "a": (1.0, 2.0), "b": (3.0, 4.0)}
-    zoom.remember(seen, "a", View())
-    assert state[zoom.ZOOM] == {"b": (3.0, 4.0)}
-    zoom.remember(seen, "b", View((5.0, 6.0), None))
-    assert state[zoom.ZOOM] == {"": (5.0, 6.0), "a": (1.0, 2.0)}
+    measure.remember(seen, "a", View())
+    assert state[measure.ZOOM] == {"b": (3.0, 4.0)}
+    measure.remember(seen, "b", View((5.0, 6.0), None))
+    assert state[measure.ZOOM] == {"": (5.0, 6.0), "a": (1.0, 2.0)}
 
 
 def test_a_look_at_another_part_changes_no_panel_and_no_axis() -> None:

@@ -11,8 +11,8 @@ from studio_pages import array, captions, draw, figures, numbers_behind, parts, 
 from studio_runs import PENDULUM_TOM
 
 from app.data.exams import Exams, ranking
-from app.views.answer.exams import table, verdict
-from app.views.attention.exam import about_weights, of_which_weights
+from app.views.answer.numbers import table, verdict
+from app.views.attention import about_weights, of_which_weights
 from tom.readable import short
 from tom.record import layout
 from tom.record.reader import RunReader

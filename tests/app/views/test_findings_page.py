@@ -17,8 +17,8 @@ from studio_runs import PENDULUM_TOM, change
 from app.data import readers, studies
 from app.data.every_way import every_way
 from app.links import Links
+from app.parts import jobs
 from app.servers.pages import routes
-from app.views.findings import _running
 from tom.record import layout
 from tom.reports.report import Report, write_csv, write_report
 
@@ -151,7 +151,7 @@ def test_a_study_is_run_from_the_page_and_one_that_fails_says_why(
             change(own / PENDULUM_TOM / layout.CONFIG, preset="paper")
         app.button(key="run returns").click().run()
         assert app.button(key="run returns").disabled
-        _running()["returns"].process.wait(120)
+        jobs.begun()["returns"].process.wait(120)
         app.run()
         assert bool(app.error) == (state == "failed")
     assert [study.name for study in studies.listing(studies.FOLDER)] == ["returns"]

@@ -18,7 +18,7 @@ from app.data.buffer import WINDOW, Rows, poses, windows
 from app.data.selection import between, inside
 from app.parts import timeline
 from app.scenes import control, solids
-from app.views.attention.row_list import table
+from app.views.attention.in_buffer import table
 from tom.data.transitions import Transitions
 from tom.envs import scene, task
 from tom.record.reader import RunReader

@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from studio_pages import Show, array, captions, draw, figures, map_of, trace
+from studio_pages import Show, array, captions, draw, figures, map_of, plain, trace
 from studio_runs import PENDULUM_TOM, info, with_weighing
 
 from app.data import buffer, weighings
-from app.views.attention.learners import nearest
-from app.views.attention.weigh import FOREIGN
+from app.views.attention.learners import FOREIGN, nearest
 from tom import plugins
 from tom.analysis.progression import progression
 from tom.cli import main
@@ -187,7 +186,7 @@ def test_the_learner_named_nearest_is_that_of_the_least_median_footprint(weighed
         of.setdefault(result["learner"].upper(), []).append(result["footprint"])
     ordered = sorted(of, key=lambda name: np.median(of[name]))
     sentence = on_one_buffer(run=PENDULUM_TOM).markdown
-    told = next(one.value for one in sentence if one.value.startswith(f"**{ordered[0]} "))
+    told = next(plain(one.value) for one in sentence if one.value.startswith(f"**{ordered[0]} "))
     for name in ordered[:2]:
         assert f"{100 * np.median(of[name]):.0f} %" in told
     assert f"at most {100 * max(map(np.ptp, of.values())):.0f} %" in told

@@ -14,8 +14,7 @@ from studio_pages import array, captions, figures, numbers_behind, recorded, tra
 from studio_runs import PENDULUM_TOM, altered, info, set_status
 
 from app.data import buffer, readers
-from app.views.answer.exams import of_like_length
-from app.views.answer.model_error import focus_values, in_turn
+from app.views.answer.numbers import focus_values, in_turn, of_like_length
 from tom.cli import main
 from tom.record import checkpoint, layout
 from tom.record.reader import RunReader

@@ -9,7 +9,7 @@ from studio_pages import Show, draw, figures
 from studio_runs import info
 
 from app.data import readers
-from app.parts.cards import progress_line
+from app.parts.start import progress_line
 from app.parts.widgets import differs, telling
 from app.views.curves.runs import overview
 from tom.record import RunReader, Store, layout

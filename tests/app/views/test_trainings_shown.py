@@ -26,8 +26,8 @@ from studio_runs import (
 
 from app.data import trainings
 from app.data.trainings import Started
-from app.parts import cards, start
-from app.parts.cards import NAMED, figures, head, settings_line
+from app.parts import start
+from app.parts.start import NAMED, figures, head, settings_line
 from tom.envs import ENVS, OTHERS, Task
 from tom.errors import UserError
 from tom.record import layout
@@ -47,7 +47,7 @@ def shown(app: AppTest) -> list[str]:
 def test_the_strip_has_what_trains_and_for_a_while_what_has_ended(own: Path) -> None:
     for run in own.iterdir():
         if (run / layout.STATUS).exists():
-            set_status(run, heartbeat=time.time() - cards.RECENT_S - 1)
+            set_status(run, heartbeat=time.time() - start.RECENT_S - 1)
     assert shown(draw("answer")) == []
     set_status(own / PENDULUM_TOM, heartbeat=time.time())
     set_status(own / ROAD_MLE, state="running", heartbeat=time.time() - 1000)
@@ -63,9 +63,9 @@ def test_of_many_trainings_that_have_ended_few_are_shown_and_no_small_copy(
 ) -> None:
     ended = info(store, PENDULUM_TOM)
     recent = altered(ended, status=replace(ended.status, heartbeat=time.time()))
-    assert cards.just_ended(recent)
-    assert not cards.just_ended(altered(recent, small_copy=True))
-    monkeypatch.setattr(cards, "MOST", 2)
+    assert start.just_ended(recent)
+    assert not start.just_ended(altered(recent, small_copy=True))
+    monkeypatch.setattr(start, "MOST", 2)
     assert len(shown(draw("answer"))) == 2
 
 
@@ -127,7 +127,7 @@ def test_a_training_of_this_machine_has_a_size_and_one_of_this_studio_a_log(own:
         assert dict(figures(info(own, SECOND)))["memory"].endswith("B")
     begun = stand_in(["train"], "print('first'); print('last')")
     begun.process.wait(TIMEOUT_S)
-    start._started().append(begun)
+    start.started().append(begun)
     set_status(own / PENDULUM_TOM, pid=begun.process.pid)
     assert start.log_of(info(own, PENDULUM_TOM)) == "first\nlast"
     assert start.log_of(info(own, ROAD_MLE)) == ""
@@ -198,12 +198,12 @@ def test_trainings_that_have_ended_are_forgotten_and_those_that_run_are_not(
     monkeypatch.setattr(trainings, "start", lambda words: stand_in(words, WAITING))
     app = form()
     app.button(key="start").click().run()
-    (first,) = start._started()
+    (first,) = start.started()
     try:
         monkeypatch.setattr(trainings, "start", ended)
         app.text_input(key="start seeds").input(f"1-{start.FORGET + 2}").run()
         app.button(key="start").click().run()
-        assert len(start._started()) == 1 + start.FORGET
+        assert len(start.started()) == 1 + start.FORGET
         assert not app.error
     finally:
         first.process.kill()

@@ -14,7 +14,7 @@ from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import buffer, buffer_map, why
 from app.data.buffer import Rows
-from app.views.attention.row_list import listed
+from app.views.attention.in_buffer import listed
 from tom.analysis import why as reasons
 from tom.cli import main
 from tom.record import Store, layout

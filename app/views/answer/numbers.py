@@ -1,0 +1,324 @@
+"""The numbers behind the cards: exams of the runs' fits, and their models' errors in sample."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+import streamlit as st
+
+from app import glossary, text
+from app.data import buffer, readers
+from app.data.buffer import Floats
+from app.data.cache import VersionedCache
+from app.data.called import short_names
+from app.data.exams import Exams, Ranking, Standing, exams_of, middle, ranking
+from app.figures.curves import looks_of
+from app.figures.exams import footprint_error_return
+from app.figures.probe import RunErrors, errors_by_age, focus
+from app.parts import widgets
+from app.parts.plot import chart
+from app.parts.scope import Scope
+from tom.analysis import statistics
+from tom.analysis.curves import curve_points
+from tom.analysis.imagine import stored_step
+from tom.analysis.scores import counted_from
+from tom.analysis.settings import kinds_of
+from tom.config import SAC_ALONE
+from tom.readable import UNKNOWN, percent, short
+from tom.record.reader import RunReader
+
+HEIGHT = 380
+SIGNIFICANT = 0.05
+"""the p below which a difference of two learners is called more than noise"""
+MODELS = 8
+"""maximum number of stored models to test on one buffer: the newest of each group in turn"""
+BINS = 20
+NO_EXAM = "no exam (of a version before exams, or its first fit still serves)"
+WHAT = (
+    "The exam of a fit: the real steps that its policy went on to make until the next fit. They "
+    "are not in its buffer. Errors are root mean squares over the dimensions of the state, each in "
+    "standard deviations of its change in a step; of a run the median over its fits counts, from "
+    "the step on from which every run weighs."
+)
+OWN = (
+    "Each run is examined on what its own policy met, in units of its own buffer, so learners "
+    "differ in policy and data too; `tom reproduce footprint` and `tom reproduce capacity` compare "
+    "them on the same buffers."
+)
+LENGTHS = 2.0
+"""a run is like the others if it has between half and twice their median number of steps"""
+FEW_NAMED = 8
+"""runs that are named in a line; more are named in its help"""
+NAMED = 3
+"""groups that a sentence names at most"""
+NEEDED = f"two learners with {statistics.RANKED} seeds each are needed"
+PAIRS = {
+    "One step": ("model/error_policy", "model/error_other"),
+    "Five steps in a row": ("model/rollout_error_policy", "model/rollout_error_other"),
+}
+COLUMNS = {
+    "one step": st.column_config.Column(
+        "error, one step", help="interquartile mean over runs, 95 % bootstrap interval"
+    ),
+    "five steps": st.column_config.Column(
+        "error, five steps", help="five modelled steps under the recorded actions"
+    ),
+    "footprint": st.column_config.Column(
+        help="1: no better than no weights, 0: like the policy itself"
+    ),
+    "fits that count": st.column_config.Column(
+        help="fits whose footprint is not lost in its noise"
+    ),
+}
+_RANKINGS: VersionedCache[tuple[list[Exams], Ranking]] = VersionedCache()
+
+
+def draw(scope: Scope, env: str) -> None:
+    """The exams of all runs of a task, and their models' errors on one buffer and on their own."""
+    runs = [run for run in scope.runs if run.env == env]
+    alone = [run for run in runs if run.learner == SAC_ALONE]
+    alike, others = of_like_length([run for run in runs if run not in alone])
+    lengths = dict.fromkeys(run.status.env_step for run in others)
+    of_length = {
+        f"of another length ({steps:,} steps)": [r for r in others if r.status.env_step == steps]
+        for steps in lengths
+    }
+    _left_out(runs, {**of_length, "it fits no model": alone})
+    _exams(alike)
+    st.subheader("In sample: on rows that the models were fitted to", anchor=False)
+    st.caption(
+        "A model can err little here and much where its policy goes next: only the exams above are "
+        "out of sample."
+    )
+    run = scope.one(lambda run: run in alike and buffer.has_rows(run), widgets.telling)
+    if run is not None:
+        _on_one_buffer(run, alike)
+    _recorded(alike)
+
+
+def _exams(runs: Sequence[RunReader]) -> None:
+    """Who errs least on its own policy's transitions, the numbers, and a figure of all fits."""
+    exams, result = examined(runs)
+    sat = {one.run_id: result.ended_before(one) for one in exams}
+    without = [run for run in runs if run.run_id not in sat]
+    early = [run for run in runs if sat.get(run.run_id)]
+    _left_out(runs, {NO_EXAM: without, f"ended before step {result.until:,.0f}": early})
+    if not exams:
+        return
+    st.markdown(glossary.linked(verdict(result)), help=WHAT)
+    st.dataframe(table(result), hide_index=True, column_config=COLUMNS)
+    with st.container(border=True):
+        st.markdown(
+            "**Where the weights lie, how the model errs, what came of it**: a point is a fit, at "
+            "one height in both panels",
+            help="A footprint is the energy distance between the weighted buffer and the exam, "
+            "over that of the buffer without weights. It says nothing where that buffer lies no "
+            "farther from the exam than two halves of the exam from each other.",
+        )
+        figure = footprint_error_return(exams, HEIGHT)
+        chart(figure, "exams", "footprint, error in the exam and next return of every fit")
+    few = statistics.remark(min(one.seeds for one in result.ranked or result.standings))
+    st.caption(f"{text.markdown(few)}. {OWN}" if few else OWN)
+
+
+def examined(runs: Sequence[RunReader]) -> tuple[list[Exams], Ranking]:
+    """The exams of the runs that have any, and their ranking."""
+
+    def make() -> tuple[list[Exams], Ranking]:
+        names = group_names(runs)
+        read = [
+            exams_of(run.run_id, run.learner, run.seed, names[run.run_id], readers.metrics(run))
+            for run in sorted(runs, key=lambda run: (run.learner, run.seed, run.run_id))
+        ]
+        exams = [one for one in read if len(one.step)]
+        return exams, ranking(exams, counted_from(map(readers.metrics, runs)))
+
+    version = tuple((run.path, run.version("metrics")) for run in runs)
+    return _RANKINGS.get(tuple(run.path for run in runs), make, version)
+
+
+def group_names(runs: Sequence[RunReader]) -> dict[str, str]:
+    """By run id the name of its group: its learner, and what distinguishes it from other groups."""
+    kinds = kinds_of(runs)
+    groups = looks_of((run.env, kinds[run.run_id]) for run in runs)
+    return {run_id: groups[kind].title for run_id, kind in kinds.items()}
+
+
+def verdict(result: Ranking) -> str:
+    """One sentence: who errs least on its policy's transitions, by how much, and if it is noise."""
+    if not result.ranked:
+        counts = "; ".join(
+            f"{text.markdown(one.name)}: {_runs(one)}, typical error {short(one.typical)}"
+            for one in result.standings
+        )
+        if len(result.standings) > NAMED:
+            counts = f"the errors of {len(result.standings)} groups stand in the table below"
+        return (
+            f"**Too few seeds to rank** ({NEEDED}). "
+            f"Where the policy goes, one step ahead in the exams{counted(result)}: {counts}."
+        )
+    first, second = result.ranked[:2]
+    beats, p = result.first_beats_second, result.chance
+    one, other = (text.markdown(standing.name) for standing in (first, second))
+    less = 1 - first.typical / second.typical
+    errors = (
+        f"{short(first.typical)}, {percent(less, 0)} less than {other}, the next, "
+        f"with {short(second.typical)},{counted(result)} "
+        f"(n: {_runs(first)}; {_runs(second)})"
+    )
+    chance = (
+        f"a run of {one} errs less than one of {other} with probability {beats.value:.2f} "
+        f"(95 % interval {beats.low:.2f} to {beats.high:.2f}; p {p:.2g} by permutation)"
+    )
+    if p < SIGNIFICANT:
+        return (
+            f"**Where its own policy goes, {one} errs least**: {errors}. More than noise: {chance}."
+        )
+    return (
+        f"**Where its own policy goes, nobody errs less beyond noise**: least is {one} with "
+        f"{errors}, but {chance}."
+    )
+
+
+def counted(result: Ranking) -> str:
+    """The steps whose fits count, in words; empty if all do."""
+    since, until = f"{result.since:,.0f}", f"{result.until:,.0f}"
+    if not np.isfinite(result.since):
+        return f" up to step {until}" if np.isfinite(result.until) else ""
+    return f" from step {since} " + (f"to {until}" if np.isfinite(result.until) else "on")
+
+
+def _runs(one: Standing) -> str:
+    runs = "1 run" if len(one.error) == 1 else f"{len(one.error)} runs"
+    return f"{runs}, 1 fit" if one.fits == 1 else f"{runs}, {one.fits:,} fits"
+
+
+def table(result: Ranking) -> pd.DataFrame:
+    """One row per group: n, and interquartile means over its runs with 95 % bootstrap intervals."""
+
+    def mean(values: Floats) -> str:
+        found = middle(values)
+        return str(found) if np.isfinite(found.value) else UNKNOWN
+
+    return pd.DataFrame(
+        {
+            "group": one.name,
+            "runs": len(one.error),
+            "seeds": one.seeds,
+            "fits": one.fits,
+            "one step": mean(one.error),
+            "five steps": mean(one.rollout_error),
+            "footprint": mean(one.footprint),
+            "fits that count": one.telling,
+        }
+        for one in result.standings
+    )
+
+
+def _on_one_buffer(run: RunReader, others: Sequence[RunReader]) -> None:
+    """The errors on the buffer of `run` of its own stored model and of other runs' models."""
+    kept = [other for other in others if stored_step(other) is not None]
+    errors, beyond, names = [], list(kept), group_names(kept)
+    for other in in_turn(run, kept):
+        error = buffer.errors_on(run, other)
+        if error is not None:
+            own = " (its own)" if other.run_id == run.run_id else ""
+            errors.append((f"{names[other.run_id]} s{other.seed}{own}", other.learner, error))
+            beyond.remove(other)
+        if len(errors) == MODELS:
+            break
+    if not errors:
+        if not widgets.left_out_of_all(others, "model"):
+            st.caption("No run of this task has kept a model whose errors could be shown.")
+        return
+    with st.container(border=True):
+        st.markdown(
+            "**Error of the kept models along this buffer**: one step, mean of each twentieth",
+            help="root mean square over the dimensions, each in standard deviations of its change "
+            "in a step over this buffer. A model has seen its own buffer alone.",
+        )
+        figure = errors_by_age(errors, BINS, 320, keep=run.run_id)
+        chart(figure, "errors here", "model error against age")
+        without = [other for other in others if other not in kept]
+        _left_out(
+            others, {"no kept model": without, f"beyond {MODELS} models, or unreadable": beyond}
+        )
+
+
+def in_turn(run: RunReader, others: Sequence[RunReader]) -> list[RunReader]:
+    """The run itself, then the first run of each group, then their second runs, and so on."""
+    seen, names = Counter[str](), group_names(others)
+    turns = []
+    for other in others:
+        turns.append((other.run_id != run.run_id, seen[names[other.run_id]]))
+        seen[names[other.run_id]] += 1
+    order = sorted(range(len(others)), key=lambda i: turns[i])
+    return [others[i] for i in order]
+
+
+def _recorded(runs: Sequence[RunReader]) -> None:
+    """The errors that the runs have recorded at their last fits of like step."""
+    columns = st.columns(2)
+    for column, (words, (policy, other)) in zip(columns, PAIRS.items(), strict=True):
+        groups = focus_values(runs, policy, other)
+        with column, st.container(border=True):
+            st.markdown(
+                f"**{words}**: full, the policy's newest transitions; hollow, the rest",
+                help="at each run's last fit up to the step that every run reaches, on its own "
+                "buffer: rows the model was just fitted to",
+            )
+            if groups:
+                chart(focus(groups, 280, policy), f"focus {words}", "model error by group")
+                drawn = {one.run_id for of in groups.values() for one in of}
+                without = [run for run in runs if run.run_id not in drawn]
+                _left_out(runs, {"not measured": without})
+            else:
+                st.caption("No run of this task has measured it.")
+    st.caption(
+        "Above, each run is on its own buffer, which differs from run to run. The same buffer for "
+        "every learner, with models fitted afresh and transitions that the policy makes anew: "
+        "`tom reproduce focus`."
+    )
+
+
+def focus_values(runs: Sequence[RunReader], policy: str, other: str) -> dict[str, list[RunErrors]]:
+    """The errors of each run, by the name of its group: `policy` and `other`.
+
+    Those of its last fit up to the step that every run reaches: errors fall as data come.
+    """
+    groups, names = dict[str, list[RunErrors]](), group_names(runs)
+    measured = []
+    for run in sorted(runs, key=lambda run: (run.learner, names[run.run_id], run.seed, run.run_id)):
+        frame = readers.metrics(run)
+        pair = [curve_points(frame, metric) for metric in (policy, other)]
+        if all(len(step) for step, _ in pair):
+            measured.append((run, pair))
+    until = min((step[-1] for _, pair in measured for step, _ in pair), default=0)
+    for run, pair in measured:
+        values = [value[step <= until] for step, value in pair]
+        if all(len(value) for value in values):
+            errors = RunErrors(run.run_id, run.learner, *(float(value[-1]) for value in values))
+            groups.setdefault(names[run.run_id], []).append(errors)
+    return groups
+
+
+def of_like_length(runs: Sequence[RunReader]) -> tuple[list[RunReader], list[RunReader]]:
+    """The runs of about the usual length, and the others."""
+    if not runs:
+        return [], []
+    usual = float(np.median([run.status.env_step for run in runs]))
+    like = {run.run_id: usual / LENGTHS <= run.status.env_step <= usual * LENGTHS for run in runs}
+    return [r for r in runs if like[r.run_id]], [r for r in runs if not like[r.run_id]]
+
+
+def _left_out(runs: Sequence[RunReader], left_out: Mapping[str, Sequence[RunReader]]) -> None:
+    """Name the runs that are left out of `runs`, a line for each reason."""
+    called = short_names(runs)
+    for reason, of in left_out.items():
+        if of:
+            named = text.markdown("; ".join(called[run.run_id] for run in of))
+            if len(of) <= FEW_NAMED:
+                st.caption(f"Left out, {reason}: {named}.")
+            else:
+                st.caption(f"Left out, {reason}: {len(of)} runs.", help=named)
