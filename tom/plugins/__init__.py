@@ -13,16 +13,15 @@ import json
 import os
 import re
 import sys
-from collections.abc import Sequence
-from importlib.metadata import EntryPoint, entry_points
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
 from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from tom.errors import OF_USERS, UserError, reason
 from tom.harmless import terminal
-from tom.plugins.kept import CHARTS, OWNERS, PAGES
 
 if TYPE_CHECKING:
     from tom.config import RunConfig
@@ -31,7 +30,10 @@ if TYPE_CHECKING:
 __all__ = [
     "CHARTS",
     "OPTION",
+    "OWNERS",
     "PAGES",
+    "Chart",
+    "Page",
     "Registry",
     "given",
     "load",
@@ -44,6 +46,25 @@ GROUP = "tom_studio"
 VARIABLE = "TOM_STUDIO_PLUGINS"
 """tells child processes which plug-ins the user named"""
 OPTION = "--plugin"
+
+Chart = Callable[[Sequence[Any], int], Any]
+"""(curves, height) -> a Plotly figure; a curve has `run_id`, `learner`, `step` and `value`."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page of the studio from a plug-in, with the same attributes as a module of our pages."""
+
+    TITLE: str
+    ICON: str
+    PATH: str
+    page: Callable[[], None]
+
+
+CHARTS: dict[str, Chart] = {}
+PAGES: list[Page] = []
+OWNERS: dict[tuple[str, str], str] = {}
+"""(kind, name) of what plug-ins have registered -> the plug-in's name"""
 
 _LOADED: dict[str, str] = {}  # what was loaded -> the plug-in's name
 
@@ -70,7 +91,19 @@ def load(named: Sequence[str] = ()) -> None:
     plug-in is skipped with one line on stderr.
     """
     for point in entry_points(group=GROUP):
-        _load_installed(point)
+        key = f"{GROUP}:{point.name}"
+        if key in _LOADED:
+            continue
+        from tom.envs.user_code import remember
+
+        try:
+            module = point.load()
+            _register(getattr(module, "register", module), point.name)
+            remember(point.module, sys.modules[point.module])
+            _LOADED[key] = point.name
+        except OF_USERS as error:  # a broken package must not stop every command
+            message = f"tom: the installed plug-in {point.name} is left out: {reason(error)}"
+            print(terminal(message), file=sys.stderr)
     placed = (str(Path(word).absolute()) if _is_file(word) else word for word in named)
     wanted = list(dict.fromkeys([*wanted_here(), *placed]))
     for word in wanted:
@@ -106,51 +139,30 @@ def _is_file(word: str) -> bool:
 
 
 def _load(word: str) -> None:
+    """Load a module or a file. Raises UserError."""
     if word in _LOADED or (word in _LOADED.values() and not _is_file(word)):
         return
-    from tom.envs.user_code import import_named
+    from tom.envs.user_code import import_named, remember
 
-    name = Path(word).name if _is_file(word) else word
-    module = _of_file(Path(word)) if _is_file(word) else import_named(word, f"{OPTION} {word}")
-    _register(getattr(module, "register", None), name)
-    _LOADED[word] = name
-
-
-def _load_installed(point: EntryPoint) -> None:
-    from tom.envs.user_code import remember
-
-    key = f"{GROUP}:{point.name}"
-    if key in _LOADED:
+    if not _is_file(word):
+        _register(getattr(import_named(word, f"{OPTION} {word}"), "register", None), word)
+        _LOADED[word] = word
         return
-    try:
-        module = point.load()
-        _register(getattr(module, "register", module), point.name)
-        remember(point.module, sys.modules[point.module])
-        _LOADED[key] = point.name
-    except OF_USERS as error:  # a broken package must not stop every command
-        message = f"tom: the installed plug-in {point.name} is left out: {reason(error)}"
-        print(terminal(message), file=sys.stderr)
-
-
-def _of_file(path: Path) -> ModuleType:
-    from tom.envs.user_code import remember
-
-    if not path.is_file():
-        raise UserError(f"{OPTION} {path}: there is no such file")
+    path = Path(word)
     name = f"tom_plugin_{re.sub(r'[^A-Za-z0-9]', '_', path.stem)}"
     spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise UserError(f"{OPTION} {path}: no Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
+    if not path.is_file() or spec is None or spec.loader is None:
+        raise UserError(f"{OPTION} {path}: there is no such Python file")
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
     except OF_USERS as error:  # the user's own code
-        raise UserError(_failure(str(path), error)) from error
-    remember(str(path), module)
+        raise UserError(_failure(word, error)) from error
+    remember(word, module)
     if torch := sys.modules.get("torch"):
         torch.set_default_dtype(torch.float32)  # or all of our tensors would have its type
-    return module
+    _register(getattr(module, "register", None), path.name)
+    _LOADED[word] = path.name
 
 
 def _register(register: object, name: str) -> None:

@@ -25,7 +25,7 @@ from tom.learners import LEARNERS, LearnerEntry
 from tom.learners.base import Learner
 from tom.learners.own import OwnLearner
 from tom.metrics import FATAL, METRICS, OURS
-from tom.plugins.kept import CHARTS, OWNERS, PAGES, Chart, Page
+from tom.plugins import CHARTS, OWNERS, PAGES, Chart, Page
 from tom.road.baselines import BASELINES
 
 NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,39}")
@@ -63,11 +63,11 @@ class Registry:
         self._own("learner", name, [*LEARNERS, SAC_ALONE, *BASELINES])
         group = None if settings is None else name.replace("-", "_")
         if group in OUR_SETTINGS:
-            raise UserError(f"plug-in {self.plugin}: '{group}' is the name of our own settings")
+            raise self._error(f"'{group}' is the name of our own settings")
         if colour is not None and not COLOUR.fullmatch(colour):
-            raise UserError(f"plug-in {self.plugin}: colour '{colour}' is not written #rrggbb")
+            raise self._error(f"colour '{colour}' is not written #rrggbb")
         if not callable(make):
-            raise UserError(f"plug-in {self.plugin}: make of the learner '{name}' is no function")
+            raise self._error(f"make of the learner '{name}' is no function")
         if settings is not None:
             self._check_settings(name, settings)
 
@@ -117,7 +117,7 @@ class Registry:
         With `advice` (what to try), a value that is not finite ends the training.
         """
         if path in METRICS or path in OURS:
-            raise UserError(f"plug-in {self.plugin}: there is a metric '{path}' already")
+            raise self._error(f"there is a metric '{path}' already")
         METRICS[path] = meaning
         if advice is not None:
             FATAL[path] = advice
@@ -132,28 +132,26 @@ class Registry:
         self._own("page", path, [known.PATH.removeprefix("own-") for known in PAGES])
         PAGES.append(Page(title, icon, address, page))
 
+    def _error(self, text: str) -> UserError:
+        return UserError(f"plug-in {self.plugin}: {text}")
+
     def _check_settings(self, name: str, settings: type[Config]) -> None:
         """Raises UserError unless the settings have defaults: other runs' options list them too."""
         if not (isinstance(settings, type) and issubclass(settings, Config)):
-            raise UserError(
-                f"plug-in {self.plugin}: the settings of the learner '{name}' must be a subclass "
-                "of tom.config.Config"
+            raise self._error(
+                f"the settings of the learner '{name}' must be a subclass of tom.config.Config"
             )
         try:
             settings()
         except ValidationError as error:
             wrong = ".".join(str(part) for part in error.errors()[0]["loc"])
-            raise UserError(
-                f"plug-in {self.plugin}: the setting '{wrong}' of the learner '{name}' needs a "
-                "default that it accepts"
+            raise self._error(
+                f"the setting '{wrong}' of the learner '{name}' needs a default that it accepts"
             ) from error
 
     def _own(self, kind: str, name: str, taken: Sequence[str] | Mapping[str, Any]) -> None:
         if not NAME.fullmatch(name):
-            raise UserError(
-                f"plug-in {self.plugin}: the {kind} '{name}' wants a name of small letters, digits "
-                "and -"
-            )
+            raise self._error(f"the {kind} '{name}' wants a name of small letters, digits and -")
         if name in taken:
-            raise UserError(f"plug-in {self.plugin}: there is a {kind} '{name}' already")
+            raise self._error(f"there is a {kind} '{name}' already")
         OWNERS[kind, name] = self.plugin
