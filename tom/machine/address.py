@@ -24,8 +24,10 @@ def refusal(header: Header, host: str, *, proxied: bool = False) -> str | None:
     asked, origin = header("Host") or "", header("Origin")
     if not (_own_name(asked, host) or (proxied and _is_secure(header))):
         return "this address is served under its own name only, or by a proxy with https"
-    if origin is None:
-        foreign = _embedded_elsewhere(header) or (header("Upgrade") or "").lower() == "websocket"
+    if origin is None:  # foreign, if a page of another origin loads this as an image, a script, ...
+        elsewhere = header("Sec-Fetch-Site") in ("same-site", "cross-site")
+        embedded = elsewhere and header("Sec-Fetch-Mode") != "navigate"
+        foreign = embedded or (header("Upgrade") or "").lower() == "websocket"
     else:
         schemes = ("http", "https") if proxied else ("http",)
         foreign = origin.lower() not in [f"{scheme}://{asked.lower()}" for scheme in schemes]
@@ -53,12 +55,6 @@ def _is_secure(header: Header) -> bool:
     """
     origin = header("Origin")
     return header("Sec-Fetch-Site") is not None if origin is None else origin.startswith("https://")
-
-
-def _embedded_elsewhere(header: Header) -> bool:
-    """Whether a page of another origin loads this as a resource, such as an image or a script."""
-    elsewhere = header("Sec-Fetch-Site") in ("same-site", "cross-site")
-    return elsewhere and header("Sec-Fetch-Mode") != "navigate"
 
 
 def in_url(host: str) -> str:

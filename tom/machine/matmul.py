@@ -40,9 +40,6 @@ class MatmulReport:
     onednn_ms: float
     onednn_error: float
 
-    def record(self) -> dict[str, float | str]:
-        return asdict(self)
-
 
 Backend = Literal["default", "onednn"]
 
@@ -66,8 +63,21 @@ def choose_matmul(wanted: Literal["auto", "default", "onednn"] = "auto") -> Matm
     `auto` takes oneDNN if it is at least 1.15 times faster (median of interleaved repeats) and its
     error against float64 is that of fp32.
     """
-    answer = _of_this_machine(cache_file())
-    report = answer if wanted == "auto" else replace(answer, chosen=wanted)
+    path = cache_file()
+    there, report = path.exists(), _read(path)
+    if report is None:
+        report = probe()
+        with contextlib.suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if there:
+                path.unlink(missing_ok=True)  # it is damaged
+            with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp") as file:
+                json.dump(asdict(report), file)
+                file.flush()
+                os.link(file.name, path)
+        report = _read(path) or report  # another process may have been first
+    if wanted != "auto":
+        report = replace(report, chosen=wanted)
     use(report.chosen)
     return report
 
@@ -99,41 +109,17 @@ def probe() -> MatmulReport:
 def cache_file(what: str = "matmul") -> Path:
     """The file with the probe's or another result for this kind of CPU and this torch."""
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tom-studio"
-    kind = hashlib.sha256(f"{_cpu()}\n{torch.__version__}".encode()).hexdigest()
-    return folder / f"{what}-{kind[:12]}.json"
-
-
-def _cpu() -> str:
-    """An identification of the kind of CPU that is the same at every start."""
+    cpu = f"{platform.machine()} {platform.processor()}"
     with contextlib.suppress(OSError):
-        return kind_of(Path("/proc/cpuinfo").read_text())
-    return f"{platform.machine()} {platform.processor()}"
+        cpu = kind_of(Path("/proc/cpuinfo").read_text())
+    kind = hashlib.sha256(f"{cpu}\n{torch.__version__}".encode()).hexdigest()
+    return folder / f"{what}-{kind[:12]}.json"
 
 
 def kind_of(cpuinfo: str) -> str:
     """The lines of `/proc/cpuinfo` that identify the kind of the first core."""
     first = cpuinfo.split("\n\n")[0].splitlines()
     return "\n".join(line for line in first if line.startswith(CPU_LINES))
-
-
-def _of_this_machine(path: Path) -> MatmulReport:
-    """The result stored in `path`, else that of a probe, which is then stored if possible.
-
-    If another process was first to store one, its result counts.
-    """
-    there, stored = path.exists(), _read(path)
-    if stored is not None:
-        return stored
-    report = probe()
-    with contextlib.suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if there:
-            path.unlink(missing_ok=True)  # it is damaged
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp") as file:
-            json.dump(report.record(), file)
-            file.flush()
-            os.link(file.name, path)
-    return _read(path) or report
 
 
 def _read(path: Path) -> MatmulReport | None:

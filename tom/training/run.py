@@ -1,6 +1,7 @@
 """One training, from its configuration to a finished run folder."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
 from itertools import chain
 from typing import Any, Protocol, TypedDict, Unpack
 
@@ -80,7 +81,6 @@ def make_training(config: AnyConfig) -> Training:
 
 
 def make_watch(config: AnyConfig, training: Training) -> Watch:
-    """The watch over a training of that configuration."""
     return Watch(config, training.replay if isinstance(training, Mbpo | SacRecording) else None)
 
 
@@ -96,7 +96,7 @@ def train(
     require_device(config.device)
     keep_freed_memory()
     torch.set_num_threads(config.threads)
-    matmul = choose_matmul(config.matmul).record()
+    matmul = asdict(choose_matmul(config.matmul))
     writer = RunWriter.create(store, run_id, config, matmul, options.get("command", ""))
     sink = RerunSink(writer.path) if options.get("rerun", True) else None
     with Recorder(writer, sink) as recorder:

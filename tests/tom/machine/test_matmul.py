@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from tom.machine import matmul
 
 CHOOSE = "from tom.machine.matmul import choose_matmul; print(choose_matmul().default_ms)"
-UNKNOWN = json.dumps({**matmul.MatmulReport("default", 1.0, 0.9, 1e-5).record(), "chosen": "fast"})
+UNKNOWN = json.dumps({**asdict(matmul.MatmulReport("default", 1.0, 0.9, 1e-5)), "chosen": "fast"})
 
 
 @pytest.fixture(autouse=True)
@@ -24,7 +25,7 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 def test_a_machine_is_probed_once(kept: Path):
     first = matmul.choose_matmul()
-    assert json.loads(kept.read_text()) == first.record()
+    assert json.loads(kept.read_text()) == asdict(first)
     assert matmul.choose_matmul() == first  # times and all: nothing was measured anew
 
 
@@ -67,7 +68,7 @@ def test_a_cpu_is_the_same_at_every_start_and_on_every_core():
 def test_what_is_kept_is_used(kept: Path, chosen: matmul.Backend):
     found = matmul.MatmulReport(chosen, default_ms=1.0, onednn_ms=0.9, onednn_error=1e-5)
     kept.parent.mkdir()
-    kept.write_text(json.dumps(found.record()))
+    kept.write_text(json.dumps(asdict(found)))
     assert matmul.choose_matmul() == found
     assert matmul.current() == chosen
 
@@ -76,7 +77,7 @@ def test_what_is_kept_is_used(kept: Path, chosen: matmul.Backend):
 def test_a_wish_beats_the_probe_and_is_not_kept(kept: Path, wanted: matmul.Backend):
     found = matmul.choose_matmul()
     assert matmul.choose_matmul(wanted).chosen == matmul.current() == wanted
-    assert json.loads(kept.read_text()) == found.record()
+    assert json.loads(kept.read_text()) == asdict(found)
 
 
 @pytest.mark.parametrize("text", ["{", '{"chosen": "default"}', UNKNOWN])
@@ -85,7 +86,7 @@ def test_a_damaged_file_is_measured_anew(kept: Path, text: str):
     kept.write_text(text)
     found = matmul.choose_matmul()
     assert found.chosen in ("default", "onednn")
-    assert json.loads(kept.read_text()) == found.record()
+    assert json.loads(kept.read_text()) == asdict(found)
 
 
 def test_a_folder_that_cannot_be_made_costs_a_probe_only(kept: Path):
