@@ -7,7 +7,9 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from tom.envs import scene
-from tom.record.rerun.blueprint import GROUND, MAP
+
+MAP, GROUND = "map", "scene/ground"
+"""where the map of road-and-rocks and the robots' floor are logged"""
 
 Times = tuple[rr.TimeColumn, ...]
 
@@ -75,7 +77,6 @@ def floor(stream: rr.RecordingStream, height: float) -> None:
 
 
 def places(stream: rr.RecordingStream, points: NDArray) -> None:
-    """Draw the positions (N, 2) of the transitions."""
     drawn = rr.Points2D.from_fields(positions=_up(points), radii=0.004, draw_order=-1)
     stream.log(f"{MAP}/data", drawn, static=True)
 
@@ -102,7 +103,22 @@ def picture(stream: rr.RecordingStream, name: str, arrays: Mapping[str, NDArray]
     """Draw the task's picture `name`, from the arrays described in docs/run-folder.md."""
     match name:
         case "map":
-            _ground(stream, arrays)
+            line = arrays["centre_line"]
+            # One strip for each segment, so that round ends make round corners.
+            pieces = _up(np.stack([line[:-1], line[1:]], axis=1))
+            width = float(arrays["road_half_width"])
+            road = rr.LineStrips2D(pieces, radii=width, colors=TARMAC, draw_order=-2)
+            ends = np.stack([arrays["start"], arrays["goal"]])
+            circles = rr.Ellipses2D(
+                centers=_up(ends[:, :2]),
+                half_sizes=ends[:, 2:].repeat(2, axis=1),
+                colors=[LEARNT, TRUE],
+                labels=["start", "goal"],
+            )
+            corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
+            edge = rr.LineStrips2D([_up(corners)], colors=GREY, radii=0.001)
+            for part, drawn in (("edge", edge), ("road", road), ("ends", circles)):
+                stream.log(f"{MAP}/{part}", drawn, static=True)
         case "trajectories":
             for of, color in (("expert", EXPERT), ("learnt", LEARNT)):
                 strips = [_up(path) for key, path in arrays.items() if key.startswith(f"{of}_")]
@@ -116,25 +132,6 @@ def picture(stream: rr.RecordingStream, name: str, arrays: Mapping[str, NDArray]
                     origins=origins, vectors=_up(arrays[of]), colors=color, radii=0.0015
                 )
                 stream.log(f"{MAP}/{of}", arrows)
-
-
-def _ground(stream: rr.RecordingStream, arrays: Mapping[str, NDArray]) -> None:
-    line = arrays["centre_line"]
-    # One strip for each segment, so that round ends make round corners.
-    pieces = _up(np.stack([line[:-1], line[1:]], axis=1))
-    width = float(arrays["road_half_width"])
-    road = rr.LineStrips2D(pieces, radii=width, colors=TARMAC, draw_order=-2)
-    ends = np.stack([arrays["start"], arrays["goal"]])
-    circles = rr.Ellipses2D(
-        centers=_up(ends[:, :2]),
-        half_sizes=ends[:, 2:].repeat(2, axis=1),
-        colors=[LEARNT, TRUE],
-        labels=["start", "goal"],
-    )
-    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
-    edge = rr.LineStrips2D([_up(corners)], colors=GREY, radii=0.001)
-    for name, drawn in (("edge", edge), ("road", road), ("ends", circles)):
-        stream.log(f"{MAP}/{name}", drawn, static=True)
 
 
 def heat(weight: NDArray) -> NDArray[np.uint8]:

@@ -47,26 +47,23 @@ class Tail:
 
         Damaged rows are skipped. A file that became shorter is read again from the start.
         """
-        while whole := self._next_block():
+        while True:
+            try:
+                with self._path.open("rb") as file:
+                    if file.seek(0, os.SEEK_END) < self._offset:  # a resumed run writes them again
+                        self._offset = 0
+                    file.seek(self._offset)
+                    text = file.read(BLOCK_BYTES)
+                    while text and b"\n" not in text and (more := file.read(BLOCK_BYTES)):
+                        text += more
+            except OSError:  # it does not exist yet
+                return
+            whole = text[: text.rfind(b"\n") + 1]
+            if not whole:
+                return
+            self._offset += len(whole)
             rows = map(parse_json_line, whole.splitlines())
             yield [row for row in rows if row and isinstance(row.get("env_step"), int)]
-
-    def _next_block(self) -> bytes:
-        """Some complete lines; empty if there are no new ones."""
-        try:
-            with self._path.open("rb") as file:
-                size = file.seek(0, os.SEEK_END)
-                if size < self._offset:  # a resumed run writes the following rows again
-                    self._offset = file.seek(0)
-                file.seek(self._offset)
-                text = file.read(BLOCK_BYTES)
-                while text and b"\n" not in text and (more := file.read(BLOCK_BYTES)):
-                    text += more
-        except OSError:  # it does not exist yet
-            return b""
-        whole = text[: text.rfind(b"\n") + 1]
-        self._offset += len(whole)
-        return whole
 
 
 class Follower:

@@ -17,7 +17,9 @@ class RerunSink:
     """Writes what a run records from `start` on into a file of its folder."""
 
     def __init__(self, run: Path) -> None:
-        self.path = layout.next_rrd(run)
+        last = [path.stem.partition("-")[2] for path in layout.rrd_files(run)[-1:]]
+        # Recordings are never overwritten.
+        self.path = run / (f"run-{int(last[0] or 1) + 1}.rrd" if last else "run.rrd")
         self._run = RunReader(run)
         self._error = ""
         self._ending = threading.Event()

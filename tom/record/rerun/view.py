@@ -1,4 +1,4 @@
-"""The data of a run in Rerun and its paths; blueprint.py has the layout.
+"""The data of a run in Rerun, their paths, and the layouts that show everything without a click.
 
 Timelines: `env_step` for everything (the frames of an evaluation follow its step), and `replay`,
 on which the evaluation episodes follow each other in real time.
@@ -19,20 +19,26 @@ from tom.learners import LEARNERS
 from tom.metrics import describe
 from tom.record.reader import RunReader
 from tom.record.rerun import drawing
-from tom.record.rerun.blueprint import (
-    CAR,
-    FIT,
-    GHOST,
-    GHOST_CAR,
-    OBSERVED,
-    PROFILE,
-    REWARD,
-    ROBOT,
-    TRACKED,
-    blueprint,
-    episode_blueprint,
-)
+from tom.record.rerun.drawing import MAP
 from tom.record.task_record import scene_of, seconds
+
+PROFILE = "weights/profile"
+SCENE = "scene"
+TRACKED = f"{SCENE}/place"  # moves along with the robot; the camera sits on it
+ROBOT = f"{SCENE}/robot"
+GHOST = f"{SCENE}/ghost"  # the robot as a model predicts it
+CAR, GHOST_CAR = f"{MAP}/car", f"{MAP}/ghost"
+REWARD = "reward"
+OBSERVED = "observation"
+FIT = "fit"  # the metrics of a single fit, as text
+
+CURVES = {
+    "Return": ("eval/return", "eval/return_max"),
+    "Dynamics model: loss": ("model/train_nll", "model/holdout_nll", "model/holdout_nll_uniform"),
+    "Weights": ("weights/ess", "weights/zeros", "weights/age_correlation"),
+    "Policy: losses": ("critic/loss", "actor/loss"),
+}
+OF_ROAD = ("Return", "Policy: losses")
 
 EPISODE_FLUSH_S = 10.0
 ROWS = 256  # of metrics sent together, because a viewer takes a second for some hundred chunks
@@ -199,7 +205,6 @@ class RerunView:
 
     @cached_property
     def _model(self) -> scene.Model | None:
-        """The MuJoCo model of the robot, or None."""
         return scene_of(self._run)
 
     def _observe(self, env_step: int, episode: Episode, dt: float) -> None:
@@ -221,7 +226,6 @@ class RerunView:
 
 
 def _table(values: Mapping[str, float]) -> str:
-    """The metrics of a fit as a Markdown table."""
     groups = ("weights/", "model/", "planner/", "discriminator/", "dual/")
     rows = [(path, value) for path, value in values.items() if path.startswith(groups)]
     lines = [f"| {path} | {value:.4g} | {describe(path)} |" for path, value in sorted(rows)]
@@ -248,3 +252,94 @@ def episode_recording(
     recorded = view.read()
     view.close(EPISODE_FLUSH_S)
     return recorded
+
+
+def blueprint(env: str, learner: str, *, drawn: bool = True) -> rrb.Blueprint:
+    """Robot or maps and the weight profile on the left, curves on the right.
+
+    If nothing can be `drawn`, curves of the observations replace the robot.
+    """
+    online = env != ROAD
+    if not online:
+        arrows = [f"/{MAP}/{name}" for name in ("true", "modelled")]
+        ground = [f"/{MAP}/{name}" for name in ("edge", "road")]
+        picture = rrb.Horizontal(
+            _map("Weights: red counts most", ["$origin/**", *(f"- {path}" for path in arrows)]),
+            _map("Steps: true green, modelled red", [f"+ {p}" for p in (*ground, *arrows)]),
+        )
+    elif drawn:
+        picture = _robot("First evaluation episode")
+    else:
+        picture = _plot("Observations of the first evaluation episode", (f"{OBSERVED}/**",))
+    profile = rrb.BarChartView(origin=PROFILE, name="Mean weight, oldest to newest transitions")
+    own = LEARNERS[learner].charts if learner in LEARNERS else {}
+    shown = CURVES | own if online else {name: CURVES[name] for name in OF_ROAD}
+    plots = [_plot(name, paths) for name, paths in shown.items()]
+    # Offline there is a single fit: its metrics are a table, not curves.
+    text = [] if online else [rrb.TextDocumentView(origin=FIT, name="Fit")]
+    left = rrb.Vertical(picture, profile, row_shares=[3, 2])
+    return _without_panels(
+        rrb.Horizontal(left, rrb.Vertical(*plots, *text), column_shares=[3, 2]),
+        rrb.TimePanel(state="collapsed", timeline="env_step", fps=100.0, play_state="following"),
+    )
+
+
+def episode_blueprint(env: str, drawn: bool = True, observed: int = 0) -> rrb.Blueprint:
+    """One episode in real time, in a loop: the robot or the car, and the reward.
+
+    If nothing can be `drawn`, curves of `observed` dimensions replace the robot.
+    """
+    name = "The episode; red: what the model imagines"
+    picture = _map(name, ["$origin/**"]) if env == ROAD else _robot(name)
+    if env != ROAD and not drawn:
+        picture = _plot("Observations", tuple(f"{OBSERVED}/{i + 1}" for i in range(observed)))
+    return _without_panels(
+        rrb.Vertical(picture, _plot("Reward of each step", (REWARD,)), row_shares=[3, 1]),
+        rrb.TimePanel(state="collapsed", timeline="replay", play_state="playing", loop_mode="all"),
+    )
+
+
+def _without_panels(views: rrb.Container, time: rrb.TimePanel) -> rrb.Blueprint:
+    return rrb.Blueprint(
+        views,
+        time,
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TopPanel(state="collapsed"),
+    )
+
+
+def _robot(name: str) -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        origin=TRACKED,
+        contents=f"/{SCENE}/**",
+        name=name,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(position=(0.4, -2.6, 1.1), look_target=(0.0, 0.0, 0.65)),
+    )
+
+
+def _map(name: str, contents: list[str]) -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(
+        origin=f"/{MAP}",
+        contents=contents,
+        name=name,
+        visual_bounds=rrb.VisualBounds2D(x_range=[-0.05, 1.05], y_range=[-1.05, 0.05]),
+    )
+
+
+def _plot(name: str, paths: tuple[str, ...]) -> rrb.TimeSeriesView:
+    everything = rr.TimeRange(
+        start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
+    )
+    # A corner that lines rarely cross: returns rise, losses fall.
+    corner = rrb.Corner2D.RightBottom if name == "Return" else rrb.Corner2D.RightTop
+    # Points are always shown, because a metric with a single value has no line.
+    return rrb.TimeSeriesView(
+        origin="/",
+        contents=[f"+ /{path}" for path in paths],
+        name=name,
+        axis_x=rrb.TimeAxis(view_range=everything),
+        plot_legend=rrb.PlotLegend(corner),
+        interaction=rrb.PlotInteraction(points_display="Always"),
+    )
