@@ -421,13 +421,12 @@ def import_runs(args: argparse.Namespace) -> int:
     ANY,
 )
 def fetch(args: argparse.Namespace) -> int:
-    from tom.record.bucket.attempts import fetch_run, run_ids
-    from tom.record.bucket.objects import Bucket
+    from tom.record.bucket import Bucket, fetch_run
 
     bucket, store = Bucket.open(args.url), Store(args.store)
     done: dict[str, str] = {}
     try:
-        wanted = args.run_ids or run_ids(bucket)
+        wanted = args.run_ids or [name for name in bucket.folders() if RUN_ID.fullmatch(name)]
         if not wanted:
             raise UserError(f"no runs in {args.url}: is it the --store of a sweep?")
         store.ensure_writable()

@@ -30,9 +30,8 @@ from tom.record import RunReader, Store, checkpoint
 from tom.record.thin import without_options
 from tom.sweep.backend import open_backend
 from tom.sweep.driver import ATTEMPTS, Driver, Job
-from tom.sweep.engine import open_engine
+from tom.sweep.engine import open_engine, script
 from tom.sweep.projection import Cost, cost, makespan
-from tom.sweep.slurm import script
 from tom.training.plan import Trial, checked, is_done, read_plan, same_run, trials
 
 POLL_S = 0.5
@@ -94,7 +93,7 @@ def _place(text: str) -> Path | str:
 def run(args: argparse.Namespace) -> int:
     planned = _planned(args)
     jobs = args.jobs or len(os.sched_getaffinity(0))
-    with open_backend(args.store, planned) as backend:
+    with open_backend(args.store, [trial.run_id for trial in planned]) as backend:
         if args.dry_run:
             return _dry_run(args, backend.store, planned, jobs)
         if args.engine == "slurm":
@@ -102,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
             runs = backend.store.runs()
             hours = [one.hours for trial in planned if (one := _cost(trial, runs, None))]
             longest = max(hours) if len(hours) == len(planned) else None
-            print(script(planned, args.store, words, longest))
+            print(script(len(planned), args.store, words, longest))
             return 0
         with open_engine(args.engine, args.address, args.jobs) as engine:
             backend.store.ensure_writable()

@@ -36,8 +36,6 @@ KILL_S = 10.0  # a killed process has ended within this time
 
 @dataclass
 class Job:
-    """The state of one training of the sweep."""
-
     trial: Trial
     log: Path
     run_id: str
@@ -83,8 +81,7 @@ class Driver:
                 more = longer if steps_beyond(trial.config, run) else ""
                 job.state, job.note = "finished", f"{copy}was there already{more}"
             self.jobs.append(job)
-        self._order = list(self.jobs)
-        """the order in which `poll` checks them"""
+        self._order = list(self.jobs)  # in which `poll` checks them
         self.full = False
         self.trouble = ""
         """the reason why the runs cannot be reached at present"""
@@ -189,7 +186,9 @@ class Driver:
         self.backend.update(job.run_id, now=True)
         job.process = None
         how = f"exit code {code}" if code >= 0 else f"killed by signal {-code}"
-        job.note = ": ".join(filter(None, [how, _last_line(job.log)]))
+        lines = job.log.read_text(errors="replace").splitlines() if job.log.is_file() else []
+        last = next((line for line in reversed(lines) if line.strip()), "$ ")
+        job.note = how if last.startswith("$ ") else f"{how}: {last}"  # `$ ` is its command
         if self._is_done(job):
             job.state, job.note = "finished", ""
         elif code in (FAILED, BAD_INPUT) and not self._is_full():
@@ -232,13 +231,3 @@ def _wait(processes: Sequence[Process], wait_s: float) -> None:
     until = time.monotonic() + wait_s
     while any(process.poll() is None for process in processes) and time.monotonic() < until:
         time.sleep(0.1)
-
-
-def _last_line(log: Path) -> str:
-    """The last line that the last command wrote, for people to read."""
-    try:
-        lines = log.read_text(errors="replace").splitlines()
-    except OSError:
-        return ""
-    last = next((line for line in reversed(lines) if line.strip()), "")
-    return "" if last.startswith("$ ") else last

@@ -1,17 +1,21 @@
-"""The processes of many trainings, on this machine or on a cluster (`ray_engine`)."""
+"""Where many trainings run: processes here or of a Ray cluster, or a script for Slurm."""
 
 import os
 import secrets
+import shlex
 import socket
+import sys
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from importlib.util import find_spec
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Union
 
 from tom.errors import UserError
 from tom.machine import processes
+from tom.record import Store, layout
 
 if TYPE_CHECKING:
     from tom.sweep.ray_engine import RayEngine, RayProcess
@@ -25,7 +29,41 @@ POLL_S = 0.1
 GRACE_S = 20.0  # a training stops within this time after a request
 
 
-class LocalEngine(AbstractContextManager["LocalEngine", None]):
+DEFAULT_HOURS = 24
+MARGIN = 1.5  # factor on the projected hours
+
+SCRIPT = """\
+#!/bin/bash
+# {count} runs; submit with: mkdir -p {logs} && sbatch sweep.sh
+# The store must lie on a file system that all nodes share.
+#SBATCH --job-name=tom-sweep
+#SBATCH --array=0-{last}
+#SBATCH --cpus-per-task=1
+#SBATCH --mem=8G
+#SBATCH --time={hours}:00:00
+#SBATCH --signal=B:TERM@300
+#SBATCH --requeue
+#SBATCH --open-mode=append
+#SBATCH --output={logs}/slurm-%A_%a.log
+
+# Before its time is up a task is sent SIGTERM: the training writes a checkpoint, and the task goes
+# back into the queue, to go on from there.
+again() {{
+    kill -TERM "$task"
+    wait "$task"
+    scontrol requeue "${{SLURM_ARRAY_JOB_ID}}_${{SLURM_ARRAY_TASK_ID}}"
+    exit 0
+}}
+trap again TERM
+
+cd {folder} || exit 1
+{command} --jobs 1 --only "$SLURM_ARRAY_TASK_ID" &
+task=$!
+wait "$task"
+"""
+
+
+class LocalEngine:
     """Starts processes of this machine, which the kernel ends together with the driver."""
 
     def __init__(self, slots: int) -> None:
@@ -40,11 +78,8 @@ class LocalEngine(AbstractContextManager["LocalEngine", None]):
         with log.open("ab") as out:
             return processes.start_module(arguments, out)
 
-    def __exit__(self, *_: object) -> None:
-        """The driver ends the processes that it started."""
 
-
-def open_engine(name: str, address: str | None, jobs: int | None) -> Engine:
+def open_engine(name: str, address: str | None, jobs: int | None) -> AbstractContextManager[Engine]:
     """The engine `local` or `ray`, for `jobs` trainings at a time (default: one per core).
 
     Ray's is of the cluster at `address`, or of one here that ends with the sweep. Every client of
@@ -52,7 +87,7 @@ def open_engine(name: str, address: str | None, jobs: int | None) -> Engine:
     Raises UserError if Ray is not installed or the cluster cannot be joined.
     """
     if name == "local":
-        return LocalEngine(jobs or len(os.sched_getaffinity(0)))
+        return nullcontext(LocalEngine(jobs or len(os.sched_getaffinity(0))))
     if find_spec("ray") is None:
         raise UserError('--engine ray needs Ray: pip install -e ".[cluster]"')
     # Ray reads these variables when it is imported.
@@ -100,3 +135,18 @@ def train_all(commands: Mapping[str, Sequence[str]], workers: int | None = None)
     finally:
         processes.stop(list(running.values()), GRACE_S)
     return codes
+
+
+def script(count: int, store: Path, arguments: Sequence[str], hours: float | None) -> str:
+    """A sweep as a Slurm array of `count` tasks: a script that the user reads and submits.
+
+    `arguments` are those of the `tom sweep` to run, `hours` what its longest training will take.
+    """
+    return SCRIPT.format(
+        count=count,
+        last=count - 1,
+        hours=DEFAULT_HOURS if hours is None else max(ceil(hours * MARGIN), 1),
+        logs=shlex.quote(str(Store(store.resolve()).beside(layout.LOGS))),
+        folder=shlex.quote(str(Path.cwd())),
+        command=shlex.join([sys.executable, "-m", "tom", *arguments]),
+    ).rstrip()

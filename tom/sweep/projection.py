@@ -34,7 +34,17 @@ def cost(trial: Trial, runs: Sequence[RunReader], done: int = 0) -> Cost | None:
     like = [run for run in whole if (run.env, run.preset) == (trial.env, trial.preset)]
     same = [run for run in like if run.learner == trial.learner]
     chosen = (same or like)[:SAMPLES]
-    costs = [one for run in chosen if (one := _per_step(run)) is not None]
+    costs: list[tuple[float, float]] = []  # seconds and bytes of an env step
+    for run in chosen:
+        table = run.metrics()
+        if "time/wall_s" not in table or not run.status.env_step:
+            continue
+        known = table[["env_step", "time/wall_s"]].dropna().to_numpy()
+        # Exploration itself costs almost nothing.
+        trained = known[known[:, 0] >= run.given.get("exploration_steps", 0)]
+        if len(trained) >= 2 and trained[-1, 0] > trained[0, 0]:
+            passed, spent = trained[-1] - trained[0]
+            costs.append((spent / passed, sum(sizes(run).values()) / run.status.env_step))
     if not costs:
         return None
     seconds, written = (median(values) for values in zip(*costs, strict=True))
@@ -57,16 +67,3 @@ def makespan(hours: Sequence[float], slots: int) -> float:
     for run in hours:
         heapreplace(ends, ends[0] + run)
     return max(ends)
-
-
-def _per_step(run: RunReader) -> tuple[float, float] | None:
-    """Seconds and bytes per env step after exploration, which itself costs almost nothing."""
-    table = run.metrics()
-    if "time/wall_s" not in table or not run.status.env_step:
-        return None
-    known = table[["env_step", "time/wall_s"]].dropna().to_numpy()
-    trained = known[known[:, 0] >= run.given.get("exploration_steps", 0)]
-    if len(trained) < 2 or trained[-1, 0] <= trained[0, 0]:
-        return None
-    steps, seconds = trained[-1] - trained[0]
-    return seconds / steps, sum(sizes(run).values()) / run.status.env_step

@@ -92,9 +92,15 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
 
         Raises GoneError after GONE_S of silence.
         """
-        if silent := self._silent():
-            if time.monotonic() - self._answered < GONE_S:
-                return 0
+        try:  # without either of these Ray waits for ever
+            socket.create_connection(self._head, CONNECT_S).close()
+            alive = {node["NodeID"] for node in ray.nodes() if node["Alive"]}
+            silent = "" if self._node in alive else "the Ray node of this machine"
+        except OSError:
+            silent = "the head of the Ray cluster"
+        if silent and time.monotonic() - self._answered < GONE_S:
+            return 0
+        if silent:
             raise GoneError(
                 f"{silent} has not answered for {GONE_S:.0f} s: trainings stop with a checkpoint "
                 "once they notice"
@@ -102,15 +108,6 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
         self._answered = time.monotonic()
         cores = int(ray.cluster_resources().get("CPU", 0))
         return cores if self._jobs is None else min(cores, self._jobs)
-
-    def _silent(self) -> str:
-        """What does not answer without which Ray waits for ever; "" if nothing is silent."""
-        try:
-            socket.create_connection(self._head, CONNECT_S).close()
-        except OSError:
-            return "the head of the Ray cluster"
-        alive = {node["NodeID"] for node in ray.nodes() if node["Alive"]}
-        return "" if self._node in alive else "the Ray node of this machine"
 
     def start(self, arguments: Sequence[str], log: Path) -> "RayProcess":
         return RayProcess(_Training.remote(list(arguments), str(Path.cwd())), log)

@@ -16,14 +16,13 @@ from tom.cli import main
 from tom.errors import TRY_LATER, UserError
 from tom.events import Tick
 from tom.record import RunReader, Store, layout
-from tom.record.bucket import attempts
-from tom.record.bucket.attempts import FETCHED, Attempt, fetch_run
-from tom.record.bucket.objects import Bucket
+from tom.record.bucket import CLAIM, FETCHED, Attempt, Bucket, fetch_run, newest
 from tom.record.files import replace_json
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
-from tom.sweep import worker
-from tom.sweep.backend import LEASE_S, LOOK_S, BucketBackend, FolderBackend
+from tom.sweep import bucket as worker
+from tom.sweep.backend import FolderBackend
+from tom.sweep.bucket import LEASE_S, LOOK_S, BucketBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
 from tom.training.plan import Trial
@@ -72,7 +71,7 @@ def test_a_worker_killed_with_all_it_had__goes_on_from_the_object_store_to_the_s
 ):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     planned, bucket = plan(learner=["mle"], seeds=[0], steps=4000), Bucket.open(bucket_url)
-    with BucketBackend(bucket, planned) as backend:
+    with BucketBackend(bucket, [planned[0].run_id]) as backend:
         driver = Driver(backend, planned, LocalEngine(1), back_off_s=0.1)
         (job,) = driver.jobs
         until(lambda: beyond_a_checkpoint(backend.store), driver.poll)
@@ -94,7 +93,7 @@ def test_a_store_that_does_not_answer_a_worker_is_no_reason_to_give_up_at_once(
     bucket_url: str, tmp_path: Path, monkeypatch
 ):
     planned = plan(learner=["mle"], seeds=[0])
-    with BucketBackend(Bucket.open(bucket_url), planned) as backend:
+    with BucketBackend(Bucket.open(bucket_url), [planned[0].run_id]) as backend:
         driver = Driver(backend, planned, LocalEngine(1), back_off_s=1e6)
         with monkeypatch.context() as away:
             away.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
@@ -134,7 +133,7 @@ def test_a_run_is_left_to_another_machine_until_it_was_seen_unchanged_for_long(
     bucket, now = Bucket.open(bucket_url), 0.0
     other = Elsewhere(bucket, trial, tmp_path)
     other.put("running", time.time() + off_s)
-    with BucketBackend(bucket, [trial], lambda: now) as backend:
+    with BucketBackend(bucket, [trial.run_id], lambda: now) as backend:
         driver = Driver(backend, [trial], LocalEngine(1))
         (job,) = driver.jobs
         for beat in range(1, 4):
@@ -156,7 +155,7 @@ def test_a_run_that_has_ended_is_free_at_once(
 ):
     bucket = Bucket.open(bucket_url)
     Elsewhere(bucket, trial, tmp_path).put(state, time.time())
-    with BucketBackend(bucket, [trial]) as backend:
+    with BucketBackend(bucket, [trial.run_id]) as backend:
         assert not backend.writer(backend.store.run(trial.run_id))
 
 
@@ -168,7 +167,7 @@ def test_a_run_that_another_machine_fetches_or_begins_is_left_to_it(
     if begun:
         Elsewhere(bucket, trial, tmp_path).put("stopped", time.time())
     Attempt.claim(bucket, trial.run_id)
-    with BucketBackend(bucket, [trial], lambda: now) as backend:
+    with BucketBackend(bucket, [trial.run_id], lambda: now) as backend:
         run = RunReader(backend.store.path / trial.run_id)
         assert backend.writer(run)
         now += LEASE_S
@@ -183,7 +182,7 @@ def test_time_in_which_the_store_did_not_answer_does_not_count(
 ):
     bucket, now = Bucket.open(bucket_url), 0.0
     Elsewhere(bucket, trial, tmp_path).put("running", time.time())
-    with BucketBackend(bucket, [trial], lambda: now) as backend:
+    with BucketBackend(bucket, [trial.run_id], lambda: now) as backend:
         now += 0.5 * LEASE_S
         with monkeypatch.context() as away:
             away.setattr(bucket, "names", unreachable)
@@ -204,11 +203,11 @@ def test_workers_killed_by_their_own_sweep__keep_nobody_waiting(
 ):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     bucket = Bucket.open(bucket_url)
-    with BucketBackend(bucket, [trial]) as backend:
+    with BucketBackend(bucket, [trial.run_id]) as backend:
         driver = Driver(backend, [trial], LocalEngine(1))
-        until(lambda: attempts.claimed(bucket.names(trial.run_id)), driver.poll)
+        until(lambda: newest(bucket.names(trial.run_id), CLAIM), driver.poll)
         driver.stop(wait_s=0.0)
-    with BucketBackend(bucket, [trial]) as backend:
+    with BucketBackend(bucket, [trial.run_id]) as backend:
         assert not backend.writer(RunReader(backend.store.path / trial.run_id))
         Attempt.claim(bucket, trial.run_id)
         backend.ended(trial.run_id)
@@ -222,10 +221,10 @@ def test_a_worker_whose_run_another_machine_takes_over__ends_and_is_no_failure(
 ):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     bucket = Bucket.open(bucket_url)
-    with BucketBackend(bucket, [trial]) as backend:
+    with BucketBackend(bucket, [trial.run_id]) as backend:
         driver = Driver(backend, [trial], LocalEngine(1))
         (job,) = driver.jobs
-        until(lambda: attempts.claimed(bucket.names(trial.run_id)), driver.poll)
+        until(lambda: newest(bucket.names(trial.run_id), CLAIM), driver.poll)
         Attempt.claim(bucket, trial.run_id)
         until(lambda: job.process is None, driver.poll)
         assert job.state == "elsewhere"

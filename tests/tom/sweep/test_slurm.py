@@ -11,7 +11,7 @@ import pytest
 
 from tom.cli import main
 from tom.record import Store
-from tom.sweep.slurm import script
+from tom.sweep.engine import script
 from tom.training.plan import checked, trials
 
 PLAN = {"env": ["inverted-pendulum"], "learner": ["mle", "tom"], "preset": "smoke"}
@@ -30,8 +30,8 @@ def test_one_task_for_each_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
 
 def test_the_time_follows_the_projection(tmp_path: Path):
     planned = trials(checked(PLAN))
-    assert "--time=24:00:00" in script(planned, tmp_path, [], None)
-    assert "--time=5:00:00" in script(planned, tmp_path, [], 3.1)
+    assert "--time=24:00:00" in script(len(planned), tmp_path, [], None)
+    assert "--time=5:00:00" in script(len(planned), tmp_path, [], 3.1)
 
 
 @pytest.mark.fault
@@ -40,7 +40,7 @@ def test_the_time_of_a_slurm_task_is_up__leaves_a_checkpoint_and_queues_again(tm
     words += ["--steps", "100000", "--store", str(tmp_path / "store")]
     planned = trials(checked({**PLAN, "steps": 100000}))
     file = tmp_path / "sweep.sh"
-    file.write_text(script(planned, tmp_path / "store", words, 1.0))
+    file.write_text(script(len(planned), tmp_path / "store", words, 1.0))
     queue = tmp_path / "bin/scontrol"  # stands in for Slurm's: it notes what it is asked
     queue.parent.mkdir()
     queue.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/asked\n')

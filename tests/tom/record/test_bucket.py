@@ -2,19 +2,22 @@
 
 import json
 import os
+import shutil
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from urllib.request import Request, urlopen
 
 import pytest
 from commands import code_of
+from killed import killed_at_rename
 from recorded import events
 
 from tom.cli import main
 from tom.errors import UserError
-from tom.record import Store, checkpoint, layout, manage
-from tom.record.bucket import attempts
-from tom.record.bucket.attempts import AHEAD, FETCHED, SAME, Attempt, fetch_run
-from tom.record.bucket.objects import Bucket
+from tom.record import RunReader, Store, checkpoint, layout, manage
+from tom.record import bucket as object_store
+from tom.record.bucket import AHEAD, FETCHED, FETCHED_ANEW, SAME, Attempt, Bucket, fetch, fetch_run
 from tom.record.lock import LostError
 
 
@@ -33,22 +36,15 @@ def test_what_is_put_is_what_is_fetched(bucket: Bucket, record, tmp_path: Path):
     run = record("run", events()[:600])
     checkpoint.save(run.path / checkpoint.FOLDER, 100, {"a": 1})
     attempt = Attempt.claim(bucket, "run")
-    assert attempts.fetch(bucket, "run", tmp_path / "there") is None, "nothing was put yet"
+    assert fetch(bucket, "run", tmp_path / "there") is None, "nothing was put yet"
     attempt.put(run.path)
     checkpoint.save(run.path / checkpoint.FOLDER, 200, {"a": 2})
     checkpoint.save(run.path / checkpoint.FOLDER, 300, {"a": 3})  # the first one goes
     with (run.path / "metrics.jsonl").open("a") as rows:
         rows.write('{"env_step": 9000}\n')
     attempt.put(run.path)
-    assert attempts.fetch(bucket, "run", tmp_path / "there") == attempt.name
+    assert fetch(bucket, "run", tmp_path / "there") == attempt.name
     assert files(tmp_path / "there") == files(run.path)
-
-
-def test_a_run_that_has_just_begun_is_fetched_with_its_empty_folders(
-    bucket: Bucket, record, tmp_path: Path
-):
-    Attempt.claim(bucket, "run").put(record("run", events()[:3]).path)
-    attempts.fetch(bucket, "run", tmp_path / "there")
     assert all((tmp_path / "there" / name).is_dir() for name in layout.FOLDERS)
 
 
@@ -92,7 +88,7 @@ def test_a_put_that_breaks_off_anywhere_leaves_a_whole_checkpoint_and_its_data(
             attempt.put(run.path)
         except OSError:
             bucket.left = 10**6
-        assert attempts.fetch(bucket, "run", tmp_path / "there") == attempt.name
+        assert fetch(bucket, "run", tmp_path / "there") == attempt.name
         held = checkpoint.load(tmp_path / "there" / checkpoint.FOLDER)
         assert held is not None
         put = (tmp_path / "there" / "metrics.jsonl").read_bytes()
@@ -108,12 +104,11 @@ def test_a_newer_attempt_ends_the_older_and_is_the_run_once_it_is_whole(
     new = Attempt.claim(bucket, "run")
     with pytest.raises(LostError, match="taken over"):
         old.put(run.path)
-    assert attempts.fetch(bucket, "run", tmp_path / "taken") == old.name
+    assert fetch(bucket, "run", tmp_path / "taken") == old.name
     new.put(tmp_path / "taken")
-    new.supersede(old.name)
-    assert attempts.fetch(bucket, "run", tmp_path / "again") == new.name
+    bucket.remove(bucket.names(f"run/{old.name}"))
+    assert fetch(bucket, "run", tmp_path / "again") == new.name
     assert files(tmp_path / "again") == files(run.path)
-    assert bucket.names(f"run/{old.name}") == []
 
 
 def test_fetch_keeps_labels_and_what_is_further_here(bucket: Bucket, record, tmp_path: Path):
@@ -185,3 +180,74 @@ def test_a_store_that_does_not_answer_is_refused_in_one_line(monkeypatch, tmp_pa
     assert "cannot reach the bucket" in error
     assert error.count("\n") == 1
     assert not (tmp_path / "runs").exists()
+
+
+def say(run: RunReader, state: str, env_step: int) -> None:
+    content = asdict(run.status) | {"state": state, "env_step": env_step}
+    (run.path / "status.json").write_text(json.dumps(content))
+
+
+@pytest.fixture
+def here(tmp_path: Path, record) -> Store:
+    """A store that holds a labelled copy of the run from before it was finished."""
+    store = Store(tmp_path / "here")
+    shutil.copytree(record("run", events()[:600]).path, store.path / "run")
+    say(store.run("run"), "stopped", 5)
+    manage.label(store, "run", add=["mine"])
+    return store
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+def test_a_fetch_killed_between_two_renames__loses_nothing(
+    here: Store, store: Store, bucket_url: str
+):
+    fetched = shutil.copytree(store.path / "run", here.path / ".run.1.tmp")
+    replace = partial(object_store._replace, here, here.run("run"), RunReader(fetched))
+    assert killed_at_rename(2, replace)
+    assert (here.names(), manage.trashed(here)) == ([], ["run"])
+    manage.restore(here, "run")
+    assert (here.run("run").status.state, here.run("run").labels.tags) == ("stopped", ("mine",))
+    bucket = Bucket.open(bucket_url)
+    Attempt.claim(bucket, "run").put(store.path / "run")
+    assert fetch_run(bucket, "run", here) == FETCHED
+    assert here.run("run").status.state == "finished"
+    assert here.run("run").labels.tags == ("mine",)
+    assert manage.trashed(here) == []
+
+
+def test_another_run_of_that_name_is_kept_in_the_trash(here: Store, store: Store, bucket_url: str):
+    """It may have been trained here, with the settings of the one in the object store."""
+    path = here.path / "run" / "config.json"
+    other = json.loads(path.read_text()) | {"created": "2026-01-01T00:00:00+00:00"}
+    path.write_text(json.dumps(other))
+    bucket = Bucket.open(bucket_url)
+    Attempt.claim(bucket, "run").put(store.path / "run")
+    assert fetch_run(bucket, "run", here) == FETCHED_ANEW
+    assert (here.run("run").created, here.run("run").labels.tags) == (store.run("run").created, ())
+    manage.trash(here, "run")
+    kept = RunReader(here.path / ".trash" / "run")
+    assert (kept.created, kept.labels.tags) == (other["created"], ("mine",))
+
+
+@pytest.mark.parametrize("status", ["", "{", None])
+@pytest.mark.parametrize(("trained_to", "done"), [(400, AHEAD), (100, FETCHED_ANEW)])
+def test_a_run_whose_status_cannot_be_read_is_never_deleted(
+    trained_to: int, done: str, status: str | None, here: Store, store: Store, bucket_url: str
+):
+    """Its checkpoints say how far it is; a status that is damaged says nothing."""
+    there, bucket = store.run("run"), Bucket.open(bucket_url)
+    say(there, "stopped", 300)
+    checkpoint.save(there.path / checkpoint.FOLDER, 300, {"a": 1})
+    Attempt.claim(bucket, "run").put(there.path)
+    mine = here.run("run")
+    checkpoint.save(mine.path / checkpoint.FOLDER, trained_to, {"a": 2})
+    (mine.path / "status.json").unlink()
+    if status is not None:
+        (mine.path / "status.json").write_text(status)
+    assert fetch_run(bucket, "run", here) == done
+    anew = done != AHEAD
+    assert here.run("run").status.state == ("stopped" if anew else "unknown")
+    assert here.run("run").labels.tags == ("mine",)
+    kept = here.path / ".trash" / "run" if anew else mine.path
+    assert checkpoint.newest(kept / checkpoint.FOLDER) == trained_to
