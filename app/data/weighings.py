@@ -20,9 +20,8 @@ from tom.envs import is_code
 from tom.errors import UserError
 from tom.record.decode import read_table
 from tom.record.files import modified
-from tom.record.labels import Labels
 from tom.record.reader import RunReader
-from tom.record.status import Status
+from tom.record.status import Labels, Status
 from tom.reports import weighing_files
 from tom.reports.weighing_files import (
     BRUSH,

@@ -14,6 +14,7 @@ import streamlit as st
 from app import session, text
 from tom.errors import UserError
 from tom.record.files import read_json, replace_json
+from tom.record.layout import VIEWS
 from tom.record.store import Store
 
 CODE = re.compile(r"[0-9a-f]{8}")
@@ -31,7 +32,7 @@ def save(store: Path | str, page: str, query: str) -> str:
             "copy the long address"
         )
     code = hashlib.sha256(f"{page}?{query}".encode()).hexdigest()[:8]
-    folder = Store(store).views
+    folder = Store(store).beside(VIEWS)
     try:
         folder.mkdir(exist_ok=True)
         replace_json(folder / f"{code}.json", {"page": page, "query": query}, sync=False)
@@ -45,7 +46,7 @@ def save(store: Path | str, page: str, query: str) -> str:
 def target(store: Path | str, code: str) -> str | None:
     """The address of a code on this server; None if there is no such view."""
     try:
-        path = Store(store).views / f"{code}.json"
+        path = Store(store).beside(VIEWS) / f"{code}.json"
         if not CODE.fullmatch(code) or path.is_symlink():
             return None
         held = read_json(path)

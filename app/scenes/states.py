@@ -132,9 +132,10 @@ class StatesFrame(Frame):
 
 def reader_of(store: str, name: str) -> RunReader:
     """The run or data set `name`. Raises UserError if there is none."""
-    if Store(store).has_folder(name):
+    try:
         return Store(store).run(name)
-    return weighings.dataset(store, name)
+    except UserError:
+        return weighings.dataset(store, name)
 
 
 def _groups(

@@ -4,19 +4,20 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
-import pytest
 import torch
+from common import stopping_at
+from kernel import wait_for
 
 from tom.config import OnlineConfig
 from tom.events import Event, Tick
 from tom.record import RunReader, Store
 from tom.training.presets import resolve
 from tom.training.resume import resume
-from tom.training.run import Stop, train
+from tom.training.run import train
 
 SETTINGS = {
     "steps": 240,
@@ -35,17 +36,6 @@ def config(learner: str = "mle", env: str = "inverted-pendulum", **changes: obje
     made = resolve(env, learner, "smoke", {**SETTINGS, **changes})
     assert isinstance(made, OnlineConfig)
     return made
-
-
-def stopping_at(step: int) -> tuple[Stop, tuple[Callable[[Event], None], ...]]:
-    """A stop that is asked for during `step`, and the watcher that asks for it."""
-    stop = Stop()
-
-    def watch(event: Event) -> None:
-        if event.env_step == step and isinstance(event, Tick):
-            stop()
-
-    return stop, (watch,)
 
 
 def stopped(store: Store, step: int, run_id: str = "a", **changes: object) -> RunReader:
@@ -87,12 +77,7 @@ def ended(process: subprocess.Popen[str], timeout_s: float = 240) -> tuple[int, 
     return process.returncode, out, error
 
 
-def wait_until(found: Callable[[], bool], timeout_s: float = 150) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not found():
-        if time.monotonic() > deadline:
-            pytest.fail("waited in vain")
-        time.sleep(0.005)
+wait_until = partial(wait_for, seconds=150)
 
 
 def go_on(path: Path, run_id: str, steps: int, rerun: bool) -> None:

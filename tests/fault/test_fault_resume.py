@@ -110,7 +110,7 @@ def test_killed_right_after_a_resume_begins__the_status_says_the_step_and_the_re
     """What is on the disk when the record is about to be rewound."""
     before, seen = store.run("a").status, []
 
-    def killed(self: RunWriter, mark: object, env_step: int) -> None:
+    def killed(self: RunWriter, mark: object) -> None:
         seen.append(RunReader(self.path).status)
         raise KeyboardInterrupt
 

@@ -136,7 +136,7 @@ def test_hostile_words_in_names_notes_settings_and_notices__are_shown_as_plain_w
     hostile = {"state": "failed", "phase": HOSTILE, "reason": HOSTILE, "warnings": [HOSTILE]}
     (bad / "status.json").write_text(json.dumps({**status, **hostile}))
     (bad / "notices.jsonl").write_text(
-        json.dumps({"env_step": 1, "kind": HOSTILE, "message": HOSTILE}) + "\n"
+        json.dumps({"env_step": 1, "code": HOSTILE, "message": HOSTILE}) + "\n"
     )
     with (bad / "metrics.jsonl").open("a") as file:
         file.write(json.dumps({"env_step": 10_000, HOSTILE: 1.0}) + "\n")
@@ -192,7 +192,7 @@ def test_a_studio_killed_with_sigkill__leaves_no_orphan(made: Path):
         children = descendants(process.pid)
         process.kill()
         process.wait()
-        wait_until(lambda: not any(map(alive, children)), timeout_s=20)
+        wait_until(lambda: not any(map(alive, children)), seconds=20)
         assert not is_taken(port)
 
 

@@ -126,7 +126,7 @@ def crafted(store: Path, words: str) -> RunReader:
     status = json.loads((run.path / "status.json").read_text())
     status |= {"state": "failed", "phase": words, "reason": words, "warnings": [words]}
     (run.path / "status.json").write_text(json.dumps(status))
-    notice = {"env_step": 1, "kind": words, "message": words}
+    notice = {"env_step": 1, "code": words, "message": words}
     (run.path / "notices.jsonl").write_text(json.dumps(notice) + "\n")
     with (run.path / "metrics.jsonl").open("a") as file:
         file.write(json.dumps({"env_step": 131, words: 1.0}) + "\n")

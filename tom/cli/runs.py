@@ -17,6 +17,7 @@ from tom.readable import score, short
 from tom.record import RunReader, Store, manage
 from tom.record.export import EXPORTERS, export, export_rows, export_small
 from tom.record.files import plain
+from tom.record.layout import RUN_ID
 from tom.record.thin import OPTIONAL, SERIES
 
 STATES = ("running", "finished", "stopped", "failed", "dead", "unknown")

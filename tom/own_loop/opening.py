@@ -3,7 +3,6 @@
 Unlike our trainings such a loop has no checkpoint here, so its record is cut by what it says.
 """
 
-import hashlib
 import shlex
 import sys
 from dataclasses import fields
@@ -82,8 +81,6 @@ def cut_back(writer: RunWriter, step: int | None = None) -> dict[str, Any]:
         for later in steps:
             if later > last:
                 (writer.path / name(later)).unlink(missing_ok=True)
-    metrics = writer.path / layout.METRICS
-    kept = metrics.read_bytes()[: lines[0]] if metrics.exists() else b""
     status, table = reader.status, reader.metric_rows()
     walls = table["time/wall_s"].dropna().tolist() if "time/wall_s" in table else []
     return {
@@ -93,7 +90,6 @@ def cut_back(writer: RunWriter, step: int | None = None) -> dict[str, Any]:
         "next_snapshot": 0.0,
         "files": {
             "lines": [*lines, _bytes_up_to(reader, layout.NOTICES, np.inf)],
-            "sha256": [hashlib.sha256(kept).hexdigest()],
             "segment": _cut_buffer(writer, reader, last),
             "latest_snapshot": None,
         },

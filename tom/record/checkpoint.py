@@ -80,7 +80,9 @@ def load(folder: Path) -> Checkpoint | None:
     unusable: list[Path] = []
     path = folder
     try:
-        for path in _folders(folder):
+        if folder.is_dir():
+            list(folder.iterdir())  # raises where it may not be entered
+        for path in folders(folder):
             try:
                 with _whole(path) as file:
                     # On the CPU, so that it can be read on a machine without GPU.
@@ -132,15 +134,9 @@ def model_step(run: Path) -> int | None:
 def folders(folder: Path) -> list[Path]:
     """The checkpoints in `folder`, newest first, damaged or not; none if it may not be entered."""
     try:
-        return _folders(folder)
-    except PermissionError:
+        found = [path for path in folder.iterdir() if _STEP.fullmatch(path.name) and path.is_dir()]
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
         return []
-
-
-def _folders(folder: Path) -> list[Path]:
-    if not folder.is_dir():
-        return []
-    found = [path for path in folder.iterdir() if _STEP.fullmatch(path.name) and path.is_dir()]
     return sorted(found, key=lambda path: int(path.name), reverse=True)
 
 

@@ -39,7 +39,6 @@ def write_table(where: Path | BinaryIO, table: pa.Table, **more: Any) -> None:
 
 
 def episode_arrays(episodes: Sequence[Episode]) -> dict[str, NDArray]:
-    """The arrays of `episodes/<step>.npz`."""
     arrays: dict[str, NDArray] = {}
     for i, episode in enumerate(episodes):
         parts = {"reward": episode.reward, "action": episode.action, "obs": episode.obs}
@@ -54,24 +53,22 @@ def episode_arrays(episodes: Sequence[Episode]) -> dict[str, NDArray]:
 
 def episodes_of(arrays: Arrays) -> list[Episode]:
     """The episodes in `episodes/<step>.npz`."""
-    count = sum(name.startswith("reward_") for name in arrays)
-    return [_episode(arrays, i) for i in range(count)]
-
-
-def _episode(arrays: Arrays, i: int) -> Episode:
-    prefix = f"info_{i}."
-    info = {n.removeprefix(prefix): float(arrays[n]) for n in arrays if n.startswith(prefix)}
-    terminated, truncated = (bool(flag) for flag in arrays[f"ended_{i}"])
-    return Episode(
-        reward=arrays[f"reward_{i}"],
-        action=arrays[f"action_{i}"],
-        obs=arrays[f"obs_{i}"],
-        qpos=arrays.get(f"qpos_{i}"),
-        qvel=arrays.get(f"qvel_{i}"),
-        terminated=terminated,
-        truncated=truncated,
-        info=info,
-    )
+    episodes = []
+    for i in range(sum(name.startswith("reward_") for name in arrays)):
+        prefix = f"info_{i}."
+        terminated, truncated = (bool(flag) for flag in arrays[f"ended_{i}"])
+        episode = Episode(
+            reward=arrays[f"reward_{i}"],
+            action=arrays[f"action_{i}"],
+            obs=arrays[f"obs_{i}"],
+            qpos=arrays.get(f"qpos_{i}"),
+            qvel=arrays.get(f"qvel_{i}"),
+            terminated=terminated,
+            truncated=truncated,
+            info={n[len(prefix) :]: float(arrays[n]) for n in arrays if n.startswith(prefix)},
+        )
+        episodes.append(episode)
+    return episodes
 
 
 STATE = "state_"
@@ -88,19 +85,6 @@ def transition_arrays(collected: Collected) -> dict[str, NDArray]:
         parts = np.split(np.asarray(collected.behaviour, np.float32), 2, axis=1)
         arrays |= dict(zip(BEHAVIOUR, parts, strict=True))
     return arrays | {"policy_version": np.asarray(collected.policy_version, np.int64)}
-
-
-def state_of(arrays: Arrays) -> dict[str, NDArray]:
-    """The simulator's states in `buffer/<first row>.npz`, if the run stored them."""
-    return {n.removeprefix(STATE): arrays[n] for n in arrays if n.startswith(STATE)}
-
-
-def behaviour_of(arrays: Arrays) -> NDArray[np.float32]:
-    """The behaviour (n, 2 A) in `buffer/<first row>.npz`; NaN if the run did not store it."""
-    if BEHAVIOUR[0] not in arrays:
-        n, width = arrays["action"].shape
-        return np.full((n, 2 * width), np.nan, np.float32)
-    return np.concatenate([arrays[name] for name in BEHAVIOUR], 1).astype(np.float32)
 
 
 def transitions_of(arrays: Arrays) -> tuple[Transitions, NDArray[np.int64]]:
@@ -128,13 +112,6 @@ def without_next_obs(arrays: Arrays) -> dict[str, NDArray]:
     return kept | {"jump": jump, "jump_obs": next_obs[jump]}
 
 
-def empty_transitions() -> tuple[Transitions, NDArray[np.int64]]:
-    """No rows."""
-    flat, wide = np.zeros(0, np.float32), np.zeros((0, 0), np.float32)
-    rows = Transitions(wide, wide, flat, wide, flat.astype(bool), flat.astype(bool))
-    return rows, np.zeros(0, np.int64)
-
-
 @dataclass(frozen=True)
 class Profiles:
     """The profiles of F model fits (`tom.data.sampling.bin_means`).
@@ -150,7 +127,6 @@ class Profiles:
     rows: NDArray[np.int64]  # (F,) rows recorded so far; the buffer is the newest `count` of them
 
     def rows_at(self, step: int) -> int:
-        """The number of rows that the run had recorded at the fit of `step`."""
         found = self.rows[self.env_step == step]
         return int(found[-1]) if len(found) else step
 

@@ -55,18 +55,14 @@ def _written(path: Path, write: Callable[[Path], object]) -> Path:
     return path
 
 
-def _csv(reader: RunReader, path: Path) -> None:
-    text = as_csv(reader.metrics())
-    replace(path, lambda file: file.write(text.encode()), sync=False)
-
-
-def _parquet(reader: RunReader, path: Path) -> None:
-    _write_frame(reader.metrics(), path)
-
-
 def _write_frame(frame: pd.DataFrame, path: Path) -> None:
     table = pa.Table.from_pandas(frame, preserve_index=False)
     replace(path, lambda file: write_table(file, table), sync=False)
+
+
+def _csv(reader: RunReader, path: Path) -> None:
+    text = as_csv(reader.metrics())
+    replace(path, lambda file: file.write(text.encode()), sync=False)
 
 
 def _json(reader: RunReader, path: Path) -> None:
@@ -113,7 +109,7 @@ def _rrd(reader: RunReader, path: Path) -> None:
 
 EXPORTERS: dict[str, tuple[str, Callable[[RunReader, Path], object]]] = {
     "csv": (".csv", _csv),
-    "parquet": (".parquet", _parquet),
+    "parquet": (".parquet", lambda reader, path: _write_frame(reader.metrics(), path)),
     "json": (".json", _json),
     "tensorboard": ("", _tensorboard),
     "rrd": (".rrd", _rrd),

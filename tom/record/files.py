@@ -1,7 +1,6 @@
 """Atomic writes of files and folders, and append-only JSON lines, safe also after a kill."""
 
 import errno
-import hashlib
 import json
 import math
 import os
@@ -86,7 +85,6 @@ class JsonLines:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file = path.open("a+b", buffering=0)
-        self._digest = hashlib.sha256(self._content())
 
     def append(self, row: Mapping[str, Any]) -> None:
         """Append one row.
@@ -102,27 +100,15 @@ class JsonLines:
         if written != len(line):
             self._file.truncate(size)
             raise OSError(errno.ENOSPC, f"cannot write {self.path}: is the disk full?")
-        self._digest.update(line)
 
     @property
     def size(self) -> int:
-        """Bytes in the file."""
         return os.fstat(self._file.fileno()).st_size
-
-    @property
-    def sha256(self) -> str:
-        """The digest of the content."""
-        return self._digest.hexdigest()
-
-    def rows(self, since: int = 0) -> list[dict[str, Any]]:
-        """The rows after the first `since` bytes; damaged lines are left out."""
-        rows = map(parse_json_line, self._content()[since:].splitlines())
-        return [row for row in rows if row is not None]
 
     def cut(self, size: int) -> None:
         """Truncate the file to `size` bytes, and to whole rows."""
-        self._file.truncate(self._content()[:size].rfind(b"\n") + 1)
-        self._digest = hashlib.sha256(self._content())
+        content = os.pread(self._file.fileno(), min(size, self.size), 0)
+        self._file.truncate(content.rfind(b"\n") + 1)
 
     def sync(self) -> None:
         """Wait until the rows are on the disk."""
@@ -131,19 +117,10 @@ class JsonLines:
     def close(self) -> None:
         self._file.close()
 
-    def _content(self) -> bytes:
-        return os.pread(self._file.fileno(), self.size, 0)
-
 
 def json_line(row: Mapping[str, Any]) -> bytes:
     """A row as a line of JSON; numbers that are not finite become null."""
     return (json.dumps(plain(row), allow_nan=False, separators=(",", ":")) + "\n").encode()
-
-
-def begins_with(path: Path, size: int, sha256: str) -> bool:
-    """Whether the file begins with `size` bytes of that digest."""
-    content = path.read_bytes()[:size] if path.is_file() else b""
-    return len(content) == size and sha256 == hashlib.sha256(content).hexdigest()
 
 
 def sync(path: Path) -> None:
@@ -167,9 +144,11 @@ def files_in(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
                 yield path, entry
 
 
-def size_of(folder: Path) -> int:
-    """Bytes of the files under `folder`; 0 if it does not exist."""
-    return sum(stat.st_size for _, stat in files_in(folder))
+def size_of(path: Path) -> int:
+    """Bytes of a file, or of the files under a folder; 0 if it does not exist."""
+    if path.is_file():
+        return path.stat().st_size
+    return sum(stat.st_size for _, stat in files_in(path))
 
 
 def modified(path: Path) -> int:
@@ -216,20 +195,26 @@ def parse_json_line(line: bytes) -> dict[str, Any] | None:
     return row if isinstance(row, dict) else None
 
 
+def free_name(folder: Path, name: str) -> str:
+    """`name`, with a number if that name is taken in the folder."""
+    free, number = name, 1
+    while os.path.lexists(folder / free):
+        number += 1
+        free = f"{name}-{number}"
+    return free
+
+
 def set_aside(run: Path, path: Path, *, copy: bool = False) -> Path:
     """Move a file or folder of the run folder `run` into its `damaged/`; returns the new place.
 
     With `copy` the file stays where it is: it is replaced next, and no kill may find the run
     without it.
     """
-    place = run / layout.DAMAGED / path.relative_to(run)
-    place.parent.mkdir(parents=True, exist_ok=True)
-    number = 1
-    while os.path.lexists(place):
-        number += 1
-        place = place.with_name(f"{path.name}~{number}")
+    folder = (run / layout.DAMAGED / path.relative_to(run)).parent
+    folder.mkdir(parents=True, exist_ok=True)
+    place = folder / free_name(folder, path.name)
     if copy:
-        replace(place, lambda file: file.write(path.read_bytes()), sync=True)
+        shutil.copyfile(path, place)
     else:
         path.rename(place)
     return place

@@ -1,14 +1,11 @@
 """Names of files and folders in a store and in a run folder (docs/run-folder.md)."""
 
-import hashlib
 import re
 from pathlib import Path
 
 SCHEMA = 1
 
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-LONGEST_NAME = 95
-"""letters of a generated run id, of 100; the rest is for a number, where the id is taken"""
 
 CONFIG = "config.json"
 STATUS = "status.json"
@@ -49,18 +46,9 @@ _RRD = re.compile(r"run(?:-(\d+))?\.rrd")
 
 
 def run_name(env: str, learner: str, seed: int, end: str) -> str:
-    """`<env>-<learner>-s<seed>-<end>` as a run id, with room for a number at its end.
-
-    `gymnasium:Swimmer-v5` becomes `gymnasium-Swimmer-v5`. What is too long of a task's name is cut
-    off, with a digest of the whole name in its place.
-    """
+    """A run id in which `gymnasium:Swimmer-v5` becomes `gymnasium-Swimmer-v5`."""
     task = re.sub(r"[^A-Za-z0-9._-]+", "-", env).strip("-._") or "task"
-    rest = f"-{learner}-s{seed}-{end}"
-    room = LONGEST_NAME - len(rest)
-    if len(task) > room:
-        digest = hashlib.sha256(env.encode(errors="surrogateescape")).hexdigest()[:8]
-        task = f"{task[: room - len(digest) - 1]}-{digest}"
-    return task + rest
+    return f"{task}-{learner}-s{seed}-{end}"
 
 
 def snapshot(step: int) -> str:
@@ -96,23 +84,13 @@ def names(folder: Path, suffix: str) -> list[str]:
 
 def rrd_files(folder: Path) -> list[Path]:
     """`run.rrd`, `run-2.rrd`, ... in the order they were written."""
-    return [folder / name for _, name in _rrds(folder)]
-
-
-def next_rrd(folder: Path) -> Path:
-    """The path of the next recording; recordings are never overwritten."""
-    recordings = _rrds(folder)
-    return folder / (f"run-{recordings[-1][0] + 1}.rrd" if recordings else "run.rrd")
+    matches = [match for name in _files(folder) if (match := _RRD.fullmatch(name))]
+    return [folder / match[0] for match in sorted(matches, key=lambda match: int(match[1] or 1))]
 
 
 def _numbered(folder: Path, suffix: str) -> list[re.Match[str]]:
     stems = (name.removesuffix(suffix) for name in _files(folder) if name.endswith(suffix))
     return [match for stem in stems if (match := _NUMBERED.fullmatch(stem))]
-
-
-def _rrds(folder: Path) -> list[tuple[int, str]]:
-    matches = [match for name in _files(folder) if (match := _RRD.fullmatch(name))]
-    return sorted((int(match[1] or 1), match[0]) for match in matches)
 
 
 def _files(folder: Path) -> list[str]:

@@ -46,13 +46,12 @@ class RunLock:
             writer = (self.path / layout.LOCK).read_bytes()
         except OSError:
             writer = b""
-        if not self.path.exists():
-            raise LostError(f"the folder of run '{self.path.name}' was moved or removed")
         if writer != self.writer:
-            raise LostError(f"run '{self.path.name}' was taken over by another writer")
+            raise LostError(
+                f"run '{self.path.name}' was taken over by another writer, or its folder is gone"
+            )
 
     def close(self) -> None:
-        """Release the lock."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1

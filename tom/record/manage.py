@@ -12,14 +12,17 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tom.errors import UserError
-from tom.record import checkpoint, labels, layout, lock
+from tom.record import checkpoint, layout, lock
 from tom.record.files import files_in, read_json, replace_json, size_of
-from tom.record.labels import Labels
 from tom.record.reader import RunReader
+from tom.record.status import Labels, labels_of
 from tom.record.store import Store
 
 PARTS = ("buffer", "checkpoint", "episodes", "fields", "policies", "recording", "weights", "rest")
 """what the disk space of a run is divided into"""
+
+NAME_LENGTH, TAG_LENGTH, NOTE_LENGTH, MOST_TAGS = 80, 30, 4000, 20
+"""most characters of labels, and the most tags"""
 
 _TRASHED = re.compile(rf"({layout.RUN_ID.pattern})(?:~(\d+))?")  # "~" is in no run id
 
@@ -43,19 +46,32 @@ def label(
     file = path / layout.LABELS
     with refused(f"cannot label run '{run_id}'"), lock.alone_in(path):
         try:
-            before = labels.parse(read_json(file)) if file.exists() else Labels()
+            before = labels_of(read_json(file)) if file.exists() else Labels()
         except ValueError as error:
             raise UserError(f"{file} is damaged ({error}): mend it or move it away") from None
         for tag in remove:
             if tag not in before.tags:
                 known = ", ".join(before.tags) or "none"
                 raise UserError(f"run '{run_id}' has no tag '{tag}' (it has: {known})")
-        tags = (*(tag for tag in before.tags if tag not in remove), *add)
-        named = before.name if name is None else name
-        noted = before.note if note is None else note
-        after = labels.checked(Labels(named, tags, noted))
-        replace_json(file, {"schema": labels.SCHEMA, **asdict(after)}, sync=True)
+        every = (*(tag for tag in before.tags if tag not in remove), *add)
+        tags = tuple(dict.fromkeys(_plain("tag", tag, TAG_LENGTH) for tag in every))
+        if "" in tags or len(tags) > MOST_TAGS:
+            raise UserError(f"a tag cannot be empty, and a run has at most {MOST_TAGS}")
+        named = _plain("name", before.name if name is None else name, NAME_LENGTH)
+        noted = _plain("note", before.note if note is None else note, NOTE_LENGTH)
+        after = Labels(named, tags, noted)
+        replace_json(file, {"schema": layout.SCHEMA, **asdict(after)}, sync=True)
     return after
+
+
+def _plain(kind: str, text: str, length: int) -> str:
+    """The text without white space around it. Raises UserError if it is too long or not plain."""
+    if not (text.replace("\n", "") if kind == "note" else text).isprintable():
+        lines = "" if kind == "note" else " of one line"
+        raise UserError(f"a {kind} is plain text{lines}, not {text!r:.60}")
+    if len(text.strip()) > length:
+        raise UserError(f"a {kind} of {len(text)} characters is too long: {length} at most")
+    return text.strip()
 
 
 def trash(store: Store, *run_ids: str) -> list[Path]:

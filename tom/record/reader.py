@@ -4,7 +4,7 @@ Unreadable parts are left out and listed in `problems`; bad content never raises
 """
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from functools import cached_property
 from pathlib import Path
@@ -19,11 +19,10 @@ from tom.data.transitions import BEHAVIOUR, Transitions
 from tom.data.unpack import DAMAGE, cannot_read_now, read_arrays
 from tom.errors import reason
 from tom.events import Episode
-from tom.record import checkpoint, decode, labels, layout, status
+from tom.record import checkpoint, decode, layout
 from tom.record.decode import Profiles, read_table
 from tom.record.files import modified, read_json, read_json_lines
-from tom.record.labels import Labels
-from tom.record.status import Status
+from tom.record.status import Labels, Status, labels_of, status_of
 
 T = TypeVar("T")
 
@@ -142,13 +141,9 @@ class RunReader:
     def preset(self) -> str:
         return str(self.config.get("preset", "?"))
 
-    @property
+    @cached_property
     def settings(self) -> Settings:
         """The whole configuration by dotted path, values as text."""
-        return self._settings  # a property, as protocols of runs ask for
-
-    @cached_property
-    def _settings(self) -> Settings:
         return in_words(self.config.get("config"))
 
     @property
@@ -195,9 +190,7 @@ class RunReader:
 
     @cached_property
     def status(self) -> Status:
-        """The run's status when it was first asked for."""
-        read = self._read(layout.STATUS, lambda p: status.parse(read_json(p)), needed=True)
-        return read or Status()
+        return self._read(layout.STATUS, lambda p: status_of(read_json(p)), needed=True) or Status()
 
     def with_status(self, status: Status) -> "RunReader":
         """This run for readers who know more of its status than its file says."""
@@ -207,8 +200,7 @@ class RunReader:
 
     @cached_property
     def labels(self) -> Labels:
-        """The display name, tags and note of the run; empty if there are none."""
-        return self._read(layout.LABELS, lambda p: labels.parse(read_json(p))) or Labels()
+        return self._read(layout.LABELS, lambda p: labels_of(read_json(p))) or Labels()
 
     def metrics(self) -> pd.DataFrame:
         """One row per recorded step: `env_step` and every metric (NaN if missing).
@@ -227,18 +219,14 @@ class RunReader:
         return self._rows(layout.METRICS, decode.metrics_table)
 
     def profiles(self) -> Profiles:
-        """The weight profile of every model fit."""
         return self._rows(layout.PROFILES, decode.profiles_of)
 
     def rows_at(self, step: int) -> int:
-        """The number of rows that the run had recorded at the fit of `step`."""
         return self.profiles().rows_at(step)
 
     def notices(self) -> list[dict[str, Any]]:
         """The notices, with `env_step`, `code` and `message`."""
-        rows = self._rows(layout.NOTICES, list)
-        # Until 2026-11-27 the code was called a kind.
-        return [{"code": row.get("kind"), **row} for row in rows]
+        return self._rows(layout.NOTICES, list)
 
     def snapshot_steps(self) -> list[int]:
         """Steps of the model fits whose single weights were stored."""
@@ -274,12 +262,9 @@ class RunReader:
         return layout.numbers(self.home / "episodes", ".npz")
 
     def episodes(self, step: int) -> list[Episode]:
-        """The evaluation episodes at `step`."""
-
-        def episodes(path: Path) -> list[Episode]:
-            return decode.episodes_of(read_arrays(path))
-
-        return self._read(layout.episodes(step), episodes, needed=True) or []
+        name = layout.episodes(step)
+        read = self._read(name, lambda p: decode.episodes_of(read_arrays(p)), needed=True)
+        return read or []
 
     def buffer(self) -> tuple[Transitions, NDArray[np.int64]]:
         """The rows and policy versions of `recorded`, without the memory for the states."""
@@ -292,9 +277,33 @@ class RunReader:
         Reading ends at the first missing or damaged segment, so that the rows stay aligned with the
         weights.
         """
-        parts = list(self._segments(states))
+        parts: list[Recorded] = []
+
+        def segment(path: Path) -> Recorded:
+            arrays = read_arrays(path)
+            rows, version = decode.transitions_of(arrays)
+            named = [name for name in arrays if states and name.startswith(decode.STATE)]
+            state = {name.removeprefix(decode.STATE): arrays[name] for name in named}
+            unknown = np.full((len(rows), rows.action.shape[1]), np.nan, np.float32)
+            behaviour = [arrays.get(name, unknown) for name in BEHAVIOUR]
+            return Recorded(rows, version, state, np.concatenate(behaviour, 1, dtype=np.float32))
+
+        self._read(layout.BUFFER, os.listdir)  # a folder that cannot be listed is no empty one
+        row = 0
+        for first in layout.numbers(self.home / layout.BUFFER, ".npz"):
+            name = layout.segment(first)
+            if first != row:
+                self._problem(f"{name}: rows {row} to {first} are missing; later rows are left out")
+                break
+            part = self._read(name, segment)
+            if part is None:
+                break
+            parts.append(part)
+            row += len(part.rows)
         if not parts:
-            return Recorded(*decode.empty_transitions(), {}, np.zeros((0, 0), np.float32))
+            flat, wide = np.zeros(0, np.float32), np.zeros((0, 0), np.float32)
+            rows = Transitions(wide, wide, flat, wide, flat.astype(bool), flat.astype(bool))
+            return Recorded(rows, flat.astype(np.int64), {}, wide)
         rows, version, state, behaviour = zip(*parts, strict=True)
         kept = set(state[0]).intersection(*state)
         return Recorded(
@@ -333,7 +342,6 @@ class RunReader:
             self._read(name, os.listdir)
 
     def rrd_files(self) -> list[Path]:
-        """The Rerun recordings, in the order they were written."""
         return layout.rrd_files(self.path)
 
     def version(self, part: Part, step: int = 0) -> Version:
@@ -341,52 +349,27 @@ class RunReader:
 
         A cache stores data read from a run together with it (`app/data/cache.py`).
         """
-        folder = str(
-            self.home if part in OF_LOOP else self.path
-        )  # pathlib takes longer to join paths than the kernel to stat them
-        return tuple(_stamp(f"{folder}/{name}") for name in self._files(part, step))
-
-    def _files(self, part: Part, step: int) -> Sequence[str]:
+        names: Sequence[str] = FILES.get(part, ())
         match part:
             case "snapshot":
-                return (layout.snapshot(step),)
+                names = (layout.snapshot(step),)
             case "episodes":
-                return (layout.episodes(step),)
+                names = (layout.episodes(step),)
             case "pictures":
-                return [layout.field(name, step) for name in self.field_names()]
+                names = [layout.field(name, step) for name in self.field_names()]
             case "policies":
-                return layout.policy(step), layout.POLICY
+                names = layout.policy(step), layout.POLICY
             case "buffer":  # the last segment, the only one that changes
                 firsts = layout.numbers(self.home / layout.BUFFER, ".npz")
-                return [layout.segment(first) for first in firsts[-1:]]
+                names = [layout.segment(first) for first in firsts[-1:]]
             case "model":
                 places = [self.path / place for place in checkpoint.MODEL_PLACES]
                 found = [path for place in places for path in checkpoint.folders(place)]
                 states = [str((path / checkpoint.STATE).relative_to(self.path)) for path in found]
-                return layout.CONFIG, *states
-            case _:
-                return FILES[part]
-
-    def _segments(self, states: bool) -> Iterator[Recorded]:
-        """Every segment of the buffer up to the first gap."""
-
-        def segment(path: Path) -> Recorded:
-            arrays = read_arrays(path)
-            state = decode.state_of(arrays) if states else {}
-            return Recorded(*decode.transitions_of(arrays), state, decode.behaviour_of(arrays))
-
-        row = 0
-        self._read(layout.BUFFER, os.listdir)  # a folder that cannot be listed is no empty one
-        for first in layout.numbers(self.home / layout.BUFFER, ".npz"):
-            name = layout.segment(first)
-            if first != row:
-                self._problem(f"{name}: rows {row} to {first} are missing; later rows are left out")
-                return
-            part = self._read(name, segment)
-            if part is None:
-                return
-            yield part
-            row += len(part.rows)
+                names = [layout.CONFIG, *states]
+        # pathlib takes longer to join paths than the kernel to stat them
+        folder = str(self.home if part in OF_LOOP else self.path)
+        return tuple(_stamp(f"{folder}/{name}") for name in names)
 
     def _rows(self, name: str, decoded: Callable[[list[dict[str, Any]]], T]) -> T:
         def lines(path: Path) -> T:

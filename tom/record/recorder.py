@@ -2,8 +2,11 @@
 
 import logging
 import os
+import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from math import isfinite
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -28,10 +31,15 @@ from tom.record import checkpoint, decode, layout
 from tom.record.lock import LostError
 from tom.record.reader import RunReader
 from tom.record.rerun.sink import RerunSink
-from tom.record.status import Heartbeat, Status
+from tom.record.status import BEAT_S, Status
 from tom.record.writer import RunWriter
 
 State = Literal["finished", "stopped", "failed"]
+
+WARNINGS = 8
+"""kinds of notices that appear as warnings in the status"""
+WINDOW_S = 120.0
+"""seconds over which speed and remaining time are estimated"""
 
 _log = logging.getLogger(__name__)
 
@@ -39,9 +47,9 @@ _log = logging.getLogger(__name__)
 class Recorder:
     """Consumes the events of one training and records them.
 
-    As a context manager it sets the final status: `stopped` after Ctrl-C, `failed` with the reason
-    after any other exception, else `finished`. `clock` gives unix seconds, `timer` monotonic
-    seconds.
+    A thread writes the status every BEAT_S seconds, also during a model fit of minutes. As a
+    context manager it sets the final status: `stopped` after Ctrl-C, `failed` with the reason after
+    any other exception, else `finished`. `clock` gives unix seconds, `timer` monotonic seconds.
     """
 
     def __init__(
@@ -59,7 +67,7 @@ class Recorder:
         self.run_id = writer.run_id
         self._config = config
         self._sink = sink
-        self._timer = timer
+        self._clock, self._timer = clock, timer
         self._started = timer() - resumed.get("wall_s", 0.0)
         self._last_row = (timer(), step)
         self._timed = -1  # the step of the last row with times
@@ -70,7 +78,7 @@ class Recorder:
         self._next_snapshot = resumed.get("next_snapshot", 0.0 if config.snapshots else np.inf)
         self._finished = False
         last, best = resumed.get("returns", (None, None))
-        status = Status(
+        self.status = Status(
             state="running",
             phase="start",
             env_step=step,
@@ -80,13 +88,19 @@ class Recorder:
             last_return=last,
             best_return=best,
         )
-        self._heartbeat = Heartbeat(writer.status, status, clock, timer)
+        self._status_lock = threading.Lock()
+        self._warnings: dict[str, str] = {}  # by kind, the newest last
+        self._speeds: deque[tuple[float, int]] = deque([(timer(), step)])
+        self._ending = threading.Event()
+        self.beat()
+        self._heart = threading.Thread(target=self._beat_on, name="heartbeat", daemon=True)
+        self._heart.start()
         if mark:
             try:
-                writer.rewind(mark["files"], step)
+                writer.rewind(mark["files"])
                 for notice in RunReader(writer.path).notices():  # their warnings count again
                     at, code, message = map(notice.get, ("env_step", "code", "message"))
-                    self._heartbeat.warn(str(code), f"step {at}: {message}")
+                    self._warn(str(code), at, str(message))
             except BaseException as error:
                 self.__exit__(type(error), error, error.__traceback__)
                 raise
@@ -95,14 +109,13 @@ class Recorder:
 
     def mark(self) -> dict[str, Any]:
         """The position of the synced record; part of a checkpoint, taken right after a `Tick`."""
-        status = self._heartbeat.status
         return {
-            "env_step": status.env_step,
+            "env_step": self.status.env_step,
             "wall_s": self._timer() - self._started,
             "record_s": self._record_s,
             "checkpoint_s": self._checkpoint_s,
             "next_snapshot": self._next_snapshot,
-            "returns": (status.last_return, status.best_return),
+            "returns": (self.status.last_return, self.status.best_return),
             "files": self._writer.mark(),
         }
 
@@ -113,7 +126,7 @@ class Recorder:
         another writer has taken the run over.
         """
         begun, folder = time.perf_counter(), self._writer.path / checkpoint.FOLDER
-        step = self._heartbeat.status.env_step
+        step = self.status.env_step
         config = self._config.model_dump(mode="json")
         try:
             checkpoint.save(folder, step, {**state, "record": self.mark(), "config": config})
@@ -127,13 +140,16 @@ class Recorder:
         self._checkpoint_s += time.perf_counter() - begun
 
     def consume(self, event: Event) -> None:
-        """Record one event."""
         begun = time.perf_counter()
         if event.env_step != self._pending_step or isinstance(event, Tick):
             self._write_row()
         match event:
             case Tick():
-                self._heartbeat.tick(event.env_step, event.phase)
+                if event.phase != self.status.phase and self.status.phase == "explore":
+                    # Exploration is much faster than training: it does not predict the time left.
+                    with self._status_lock:
+                        self._speeds = deque([(self._timer(), event.env_step)])
+                self._say(env_step=event.env_step, phase=event.phase)
             case Metrics():
                 self._merge(event.env_step, event.values)
             case Weights():
@@ -145,7 +161,7 @@ class Recorder:
             case Field():
                 self._writer.arrays(layout.field(event.name, event.env_step), event.arrays)
             case Notice():
-                self._heartbeat.warn(event.kind, f"step {event.env_step}: {event.message}")
+                self._warn(event.kind, event.env_step, event.message)
                 self._writer.notice(event.env_step, event.kind, event.message)
             case KeptPolicy():
                 self._writer.arrays(layout.policy(event.env_step), event.arrays)
@@ -154,8 +170,22 @@ class Recorder:
         self._record_s += time.perf_counter() - begun
 
     def beat(self) -> None:
-        """Write the status now, like the background thread every two seconds."""
-        self._heartbeat.beat()
+        """Write the status with a fresh heartbeat, and the speed and time left by WINDOW_S."""
+        with self._status_lock:
+            now, step = self._timer(), self.status.env_step
+            while len(self._speeds) > 1 and now - self._speeds[0][0] > WINDOW_S:
+                self._speeds.popleft()
+            then, step_then = self._speeds[0]
+            self._speeds.append((now, step))
+            rate = (step - step_then) / (now - then) if now > then else None
+            left = max(self.status.total - step, 0)
+            self.status = replace(
+                self.status,
+                heartbeat=self._clock(),
+                env_steps_per_s=rate,
+                eta_s=left / rate if rate else None,
+            )
+            self._writer.status(self.status)
 
     def finish(self, state: State, reason: str = "") -> None:
         """End the run: write the final status and the Parquet copy of the metrics, close all files.
@@ -165,11 +195,12 @@ class Recorder:
         if self._finished:
             return
         self._finished = True
-        self._heartbeat.stop()
+        self._ending.set()
+        self._heart.join()
         try:
             self._write_row()
             if lost := self._sink.close() if self._sink else None:
-                self._writer.notice(self._heartbeat.status.env_step, "rerun", lost)
+                self._writer.notice(self.status.env_step, "rerun", lost)
             self._writer.metrics_table()
             if state == "finished":
                 self._writer.digests()
@@ -177,8 +208,17 @@ class Recorder:
             if state == "finished":
                 state, reason = "failed", self._why(error)
         finally:
+            seconds = self._timer() - self._started
+            self._say(
+                state=state,
+                reason=reason,
+                phase="",
+                heartbeat=self._clock(),
+                eta_s=None,
+                env_steps_per_s=self.status.env_step / seconds if seconds > 0 else None,
+            )
             try:
-                self._heartbeat.end(state, reason, self._timer() - self._started)
+                self._writer.status(self.status)
             except OSError as error:  # not even the status fits: readers will show the run as dead
                 _log.error("%s %s (%s), and no status can be written", self.run_id, state, error)
             self._writer.close()
@@ -201,50 +241,69 @@ class Recorder:
 
     def _why(self, error: BaseException) -> str:
         """The cause of the run's end, the step, and the fix."""
-        step = self._heartbeat.status.env_step
         if isinstance(error, DivergedError):
             return str(error)
+        why = f"{type(error).__name__}: {error}"
         if isinstance(error, OwnCodeError):
-            return f"step {step}: {error}"
-        if isinstance(error, OSError) and error.errno in DISK_FULL:
+            why = str(error)
+        elif isinstance(error, OSError) and error.errno in DISK_FULL:
             saved = checkpoint.newest(self._writer.path / checkpoint.FOLDER)
             resume = f"tom train --resume {self.run_id}"
             again = "start it again: it has no checkpoint yet" if saved is None else resume
-            return f"step {step}: {error}: free some space, then {again}"
-        if ran_out(error):
-            return f"step {step}: {out_of_memory(error)}"
-        return f"step {step}: {type(error).__name__}: {error}"
+            why = f"{error}: free some space, then {again}"
+        elif ran_out(error):
+            why = out_of_memory(error)
+        return f"step {self.status.env_step}: {why}"
+
+    # The status
+
+    def _say(self, **changes: Any) -> None:
+        with self._status_lock:
+            self.status = replace(self.status, **changes)
+
+    def _warn(self, kind: str, step: object, message: str) -> None:
+        """Add a warning for readers of the run; it replaces the last one of its kind."""
+        self._warnings.pop(kind, None)
+        self._warnings[kind] = f"step {step}: {message}"
+        self._say(warnings=tuple(self._warnings.values())[-WARNINGS:])
+
+    def _beat_on(self) -> None:
+        while not self._ending.wait(BEAT_S):
+            try:
+                self.beat()
+            except OSError:  # the disk is full: the run looks dead until there is room again
+                continue
+
+    # The files
 
     def _merge(self, env_step: int, values: Mapping[str, float]) -> None:
         self._pending_step = env_step
         self._pending.update(values)
         if isfinite(returned := values.get("eval/return", np.nan)):
-            self._pending["eval/return_max"] = self._heartbeat.evaluated(returned)
+            best = self.status.best_return
+            best = returned if best is None else max(best, returned)
+            self._say(last_return=returned, best_return=best)
+            self._pending["eval/return_max"] = best
 
     def _write_row(self) -> None:
         """Write the metrics of the step that is over."""
         if not self._pending:
             return
-        step = self._pending_step
+        step, values, self._pending = self._pending_step, self._pending, {}
         # Metrics of an earlier step (a fit's exam) have no time of their own, and of a step with
         # two rows the first counts: an evaluation is not as late as the fit that follows.
-        late = step < self._heartbeat.status.env_step or step == self._timed
-        values = self._pending | ({} if late else self._times(step))
-        self._pending = {}
+        if step >= self.status.env_step and step != self._timed:
+            now, self._timed = self._timer(), step
+            then, step_then = self._last_row
+            values |= {
+                "time/wall_s": now - self._started,
+                "time/record_s": self._record_s,
+                "time/checkpoint_s": self._checkpoint_s,
+            }
+            if now > then and step > step_then:
+                values["time/env_steps_per_s"] = (step - step_then) / (now - then)
+                self._last_row = (now, step)
         self._writer.metrics({"env_step": step, **values})
-
-    def _times(self, step: int) -> dict[str, float]:
-        now, self._timed = self._timer(), step
-        then, step_then = self._last_row
-        times = {
-            "time/wall_s": now - self._started,
-            "time/record_s": self._record_s,
-            "time/checkpoint_s": self._checkpoint_s,
-        }
-        if now > then and step > step_then:
-            times["time/env_steps_per_s"] = (step - step_then) / (now - then)
-            self._last_row = (now, step)
-        return times
 
     def _weights(self, weights: Weights) -> None:
         step, parts, total = weights.env_step, self._config.snapshots, self._config.total_steps

@@ -6,19 +6,8 @@ from pathlib import Path
 
 from tom.errors import UserError
 from tom.record import layout
+from tom.record.files import free_name
 from tom.record.reader import RunReader
-
-NAME_BYTES = 200
-"""of a folder's name; file systems take 255, with the date and a temporary name's ends"""
-
-
-def free_name(folder: Path, dated: str) -> str:
-    """`dated`, with a number if that name is taken in the folder."""
-    free, number = dated, 1
-    while os.path.lexists(folder / free):
-        number += 1
-        free = f"{dated}-{number}"
-    return free
 
 
 class Store:
@@ -48,7 +37,16 @@ class Store:
 
         Raises UserError if the store cannot be read.
         """
-        names = [n for n in self._folders() if n not in layout.BESIDE_RUNS and n[0] != "."]
+        try:
+            with os.scandir(self.path) as entries:
+                folders = sorted(entry.name for entry in entries if entry.is_dir())
+        except FileNotFoundError:
+            return []
+        except OSError as error:
+            raise UserError(
+                f"cannot read the store {self.path}: {error.strerror}; name another with --store"
+            ) from error
+        names = [name for name in folders if name not in layout.BESIDE_RUNS and name[0] != "."]
         return [*names, *(n for n in layout.BESIDE_RUNS if (self.path / n).is_symlink())]
 
     def look(self, name: str) -> RunReader:
@@ -79,29 +77,10 @@ class Store:
                 f"'{run_id[:120]}' is no run id: use letters, digits, '.', '_' and '-', "
                 "at most 100, starting with a letter or digit"
             )
-        path = self.path / run_id
-        if path.is_symlink():
-            raise UserError(
-                f"run '{run_id}' is a link, which {self.path}/ may not hold: not followed"
-            )
-        return path
-
-    def has_folder(self, name: str) -> bool:
-        """Whether `name` is a valid run id with a folder."""
-        return layout.RUN_ID.fullmatch(name) is not None and self.resolve(name).is_dir()
-
-    @property
-    def studies(self) -> Path:
-        """The folder of the studies beside the runs. Raises UserError as `beside` does."""
-        return self.beside(layout.STUDIES)
-
-    @property
-    def views(self) -> Path:
-        """The folder of the studio's short links. Raises UserError as `beside` does."""
-        return self.beside(layout.VIEWS)
+        return self.beside(run_id)
 
     def beside(self, name: str) -> Path:
-        """The folder `name` of layout.BESIDE_RUNS, which need not exist.
+        """The folder `name` of the store, as of layout.BESIDE_RUNS, which need not exist.
 
         Raises UserError if it is a link.
         """
@@ -112,29 +91,13 @@ class Store:
 
     def new_run_id(self, env: str, learner: str, seed: int) -> str:
         """A free run id: `<env>-<learner>-s<seed>-<yymmdd-hhmmss>`, with a number if taken."""
-        return free_name(
-            self.path, layout.run_name(env, learner, seed, f"{datetime.now():%y%m%d-%H%M%S}")
-        )
+        now = f"{datetime.now():%y%m%d-%H%M%S}"
+        return free_name(self.path, layout.run_name(env, learner, seed, now))
 
     def new_weighing(self, name: str) -> Path:
-        """A free folder for a new weighing of that name, with date, and a number if taken.
-
-        It is not hidden, and short enough for a file system: the name may be that of a file.
-        """
-        folder = self.beside(layout.WEIGHINGS)
-        short = name.lstrip(".").encode(errors="surrogateescape")[:NAME_BYTES]
-        named = short.decode(errors="ignore") or "data"
+        """A free folder for a new weighing of that name, with date, and a number if taken."""
+        folder, named = self.beside(layout.WEIGHINGS), name.lstrip(".") or "data"
         return folder / free_name(folder, f"{named}-{datetime.now():%y%m%d-%H%M%S}")
-
-    def make_weighing(self, name: str) -> Path:
-        """Make that folder, empty; of several processes each gets one of its own."""
-        while True:
-            made = self.new_weighing(name)
-            try:
-                made.mkdir(parents=True)
-            except FileExistsError:
-                continue  # another took it in this moment
-            return made
 
     def ensure_there(self) -> None:
         """Raises UserError if there is no such folder: a mistyped name is not an empty store."""
@@ -154,14 +117,3 @@ class Store:
             ) from error
         if not os.access(self.path, os.W_OK | os.X_OK):
             raise UserError(f"cannot write to the store {self.path}: name another with --store")
-
-    def _folders(self) -> list[str]:
-        try:
-            with os.scandir(self.path) as entries:
-                return sorted(entry.name for entry in entries if entry.is_dir())
-        except FileNotFoundError:
-            return []
-        except OSError as error:
-            raise UserError(
-                f"cannot read the store {self.path}: {error.strerror}; name another with --store"
-            ) from error

@@ -60,7 +60,7 @@ def card_of(run: RunReader) -> dict[str, Any]:
     rows, _ = run.buffer()
     if not len(rows):
         return {}
-    notices = [{"code": row["code"], "text": row.get("message")} for row in run.notices()]
+    notices = [{"code": row.get("code"), "text": row.get("message")} for row in run.notices()]
     return {**take(rows).described(), "notices": notices}
 
 

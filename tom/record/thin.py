@@ -71,7 +71,11 @@ def thin(
         terms = not _lacks(reader, to, "buffer")  # they explain a row's weight
         snapshots = [] if "snapshots" in without else _spread(reader.snapshot_steps(), SNAPSHOTS)
         for step in snapshots:
-            _snapshot(reader, step, to, terms=terms)
+            frame = reader.snapshot(step)  # empty if damaged, or if a training has deleted it
+            names = [n for n in frame if not n.startswith("dim_")] if terms else COLUMNS
+            if len(frame):
+                columns = {name: frame[name].to_numpy() for name in names if name in frame}
+                write_columns(to / layout.snapshot(step), columns)
         evaluations = [] if "evaluations" in without else reader.evaluation_steps()
         for step in _spread(evaluations, EVALUATIONS):
             _arrays(reader, to, layout.episodes(step), coarse, FIRST_EPISODE.search)
@@ -187,16 +191,6 @@ def _chosen_profiles(reader: RunReader) -> Iterator[dict[str, Any]]:
         }
 
 
-def _snapshot(reader: RunReader, step: int, to: Path, *, terms: bool) -> None:
-    """Write the weights of a fit, without those of dimensions."""
-    frame = reader.snapshot(step)
-    if not len(frame):  # damaged, or a training has deleted it since
-        return
-    wanted = [name for name in frame if not name.startswith("dim_")] if terms else COLUMNS
-    columns = {name: frame[name].to_numpy() for name in wanted if name in frame}
-    write_columns(to / layout.snapshot(step), columns)
-
-
 def write_columns(path: Path, columns: Mapping[str, NDArray]) -> None:
     """Write columns of weights as a Parquet file, rounded and strongly compressed.
 
@@ -260,23 +254,19 @@ def _optional(
 ) -> None:
     """Write one of OPTIONAL, unless it is in `without`, or not small and not in `keep`."""
     name, write = OPTIONAL[part]
-    if part in without or (part not in keep and _bytes(reader.path / name) > SHRINKS * SMALL):
+    if part in without or (part not in keep and size_of(reader.path / name) > SHRINKS * SMALL):
         return
     write(reader, to)
-    if part not in keep and _bytes(to / name) > SMALL:
+    if part not in keep and size_of(to / name) > SMALL:
         shutil.rmtree(to / name) if (to / name).is_dir() else (to / name).unlink()
 
 
 def _lacks(reader: RunReader, to: Path, part: str) -> bool:
     """Whether the run has one of OPTIONAL and the copy has nothing of it."""
     name, fits = OPTIONAL[part][0], part == "model" and reader.fits_model
-    there = _bytes(reader.path / name) > 0
+    there = size_of(reader.path / name) > 0
     there |= fits and checkpoint.model_step(reader.path) is not None  # in a checkpoint
-    return there and _bytes(to / name) == 0
-
-
-def _bytes(path: Path) -> int:
-    return path.stat().st_size if path.is_file() else size_of(path)
+    return there and size_of(to / name) == 0
 
 
 def _arrays(

@@ -21,15 +21,13 @@ from tom.record import decode, integrity, layout, lock
 from tom.record.decode import NUMBERS, write_table
 from tom.record.files import (
     JsonLines,
-    begins_with,
-    json_line,
     read_json,
+    read_json_lines,
     replace,
     replace_json,
     sync,
     whole_folder,
 )
-from tom.record.reader import RunReader
 from tom.record.status import Status
 from tom.record.store import Store
 from tom.record.versions import git_commit, machine, versions
@@ -37,7 +35,7 @@ from tom.record.versions import git_commit, machine, versions
 SEGMENT_ROWS = 4096
 """rows up to which a segment of the replay buffer is rewritten when new rows come"""
 
-RESUMING = ("versions", "task", "settings", "checkpoint")
+RESUMING = ("versions", "task", "settings", "checkpoint", "rows")
 """the kinds of notice that a resume begins with"""
 
 
@@ -125,7 +123,7 @@ class RunWriter:
         return cls(path, config)
 
     def mark(self) -> dict[str, Any]:
-        """The sizes and digests of the files, for `rewind`; their rows are on the disk by then.
+        """The sizes of the files, for `rewind`; their rows are on the disk by then.
 
         Later rows begin a new segment: one that is written anew could be lost with its old rows.
         """
@@ -138,50 +136,29 @@ class RunWriter:
         self._end_segment()
         return {
             "lines": [lines.size for lines in self._lines.values()],
-            "sha256": [lines.sha256 for lines in self._lines.values()],
             "segment": self._tail_first,
             "latest_snapshot": self._latest_snapshot,
         }
 
-    def rewind(self, mark: Mapping[str, Any], env_step: int) -> None:
-        """Go back to `mark` at `env_step`; a resumed training writes everything after it again.
+    def rewind(self, mark: Mapping[str, Any]) -> None:
+        """Go back to `mark`; a resumed training writes everything after it again.
 
-        Of metrics that were repaired, the rows up to that step stay. Notices of an earlier resume
-        stay, because they are not given again: its versions count from then on.
+        Notices of an earlier resume stay, because they are not given again: its versions count from
+        then on.
         """
         (self.path / layout.DIGESTS).unlink(missing_ok=True)
         (self.path / layout.METRICS_TABLE).unlink(missing_ok=True)
-        sizes = dict(zip(layout.LINES, mark["lines"], strict=True))
-        resumed = self._lines[layout.NOTICES].rows(sizes[layout.NOTICES])
-        if not begins_with(self.path / layout.METRICS, mark["lines"][0], mark["sha256"][0]):
-            self._keep_metrics_up_to(env_step)
-            del sizes[layout.METRICS]
-        for name, size in sizes.items():
-            self._lines[name].cut(size)
-        for row in resumed:
-            if row.get("code", row.get("kind")) in RESUMING:
+        before, _ = read_json_lines(self.path / layout.NOTICES)
+        for lines, size in zip(self._lines.values(), mark["lines"], strict=True):
+            lines.cut(size)
+        for row in before[len(read_json_lines(self.path / layout.NOTICES)[0]) :]:
+            if row.get("code") in RESUMING:
                 self._append(layout.NOTICES, row)
         self._latest_snapshot = mark["latest_snapshot"]
         self._tail_first, self._tail = mark["segment"], {}
         for first in layout.numbers(self.path / layout.BUFFER, ".npz"):
             if first >= self._tail_first:
                 (self.path / layout.segment(first)).unlink()
-
-    def _keep_metrics_up_to(self, env_step: int) -> None:
-        rows = RunReader(self.path).metrics().to_dict("records")
-        text = b"".join(
-            json_line({"env_step": row["env_step"], **decode.numbers(row)})
-            for row in rows
-            if row["env_step"] <= env_step
-        )
-        path = self.path / layout.METRICS
-        replace(path, lambda file: file.write(text), sync=True)
-        self._lines[layout.METRICS].close()
-        self._lines[layout.METRICS] = JsonLines(path)
-
-    def check(self) -> None:
-        """Raises LostError if another writer has taken over the folder."""
-        self._lock.check()
 
     def resumed(self, config: RunConfig, command: str) -> None:
         """Add to `config.json` that the run was resumed, with which code and until which step."""
@@ -204,16 +181,13 @@ class RunWriter:
         replace_json(self.path / layout.STATUS, content, sync=status.state != "running")
 
     def metrics(self, row: Mapping[str, Any]) -> None:
-        """Append a row of metrics."""
         self._append(layout.METRICS, row)
 
     def notice(self, env_step: int, code: str, message: str) -> None:
-        """Append a notice."""
         row = {"env_step": env_step, "code": code, "message": message}
         self._append(layout.NOTICES, row)
 
     def profile(self, weights: Weights, bins: int) -> None:
-        """Append the weight profile of a fit."""
         row = {
             "env_step": weights.env_step,
             "count": len(weights.weight),
@@ -243,12 +217,9 @@ class RunWriter:
             self._latest_snapshot = None
 
     def rows(self, new_rows: Collected) -> None:
-        """Add rows to the replay buffer on disk."""
         if not len(new_rows.transitions):
             return
         new = decode.transition_arrays(new_rows)
-        if self._tail and self._tail.keys() != new.keys():  # of an earlier version
-            self._end_segment()
         name = self._tail_first
         if self._tail:
             new = {part: np.concatenate([self._tail[part], new[part]]) for part in new}
@@ -259,7 +230,6 @@ class RunWriter:
             self._end_segment()
 
     def arrays(self, name: str, arrays: Mapping[str, NDArray], *, sync: bool = False) -> None:
-        """Write the file `name` of arrays."""
         self._lock.check()
         replace(
             self.path / name,
@@ -269,17 +239,15 @@ class RunWriter:
 
     def metrics_table(self) -> None:
         """Write the Parquet copy of the metrics."""
-        rows = decode.metrics_table(self._lines[layout.METRICS].rows())
+        rows = decode.metrics_table(read_json_lines(self.path / layout.METRICS)[0])
         table = pa.Table.from_pandas(rows, preserve_index=False)
         self._table(layout.METRICS_TABLE, table, sync=True)
 
     def digests(self) -> None:
-        """Write the digests of a run that has finished."""
         self._lock.check()
         integrity.write_digests(self.path)
 
     def close(self) -> None:
-        """Close the files and release the lock."""
         for lines in self._lines.values():
             lines.close()
         self._lock.close()

@@ -167,7 +167,8 @@ def place(out: Path | None, store: Store, name: str) -> Iterator[Path]:
         yield out
         return
     try:
-        made = store.make_weighing(name)
+        made = store.new_weighing(name)
+        made.mkdir(parents=True)
     except OSError as error:
         raise UserError(f"cannot write into {store.path}: {error.strerror}; name --out") from error
     try:

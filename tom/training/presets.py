@@ -116,7 +116,15 @@ def resolve(
     if env == ROAD:
         config = RoadConfig(learner=learner).but(**OF_ROAD.get(preset, {}))
     else:
-        config = _online(env, learner, preset)
+        known = task(env)  # raises UserError for an unknown task, before anything is written
+        steps = 600 if preset == "smoke" else known.steps
+        config = OnlineConfig(env=env, learner=learner, steps=steps).but(**PRESETS[preset])
+        try:
+            if preset != "smoke":
+                config = config.but(**BY_ENV[preset].get(env, {})).but(**known.settings)
+        except ValidationError as error:
+            raise UserError(f"task {env}: its setting {invalid_value(error)}") from None
+        config = config.but(**LEARNERS[learner].settings)
     config = config_type(env, learner).model_validate(config.model_dump())
     # A plug-in's settings are only in the runs of its learner.
     others = {entry.group for name, entry in LEARNERS.items() if entry.own and name != learner}
@@ -143,19 +151,6 @@ def learners(env: str) -> tuple[str, ...]:
     if env != ROAD:
         return tuple(LEARNERS)
     return (*(name for name in LEARNERS if not follows_behaviour(name)), *BASELINES)
-
-
-def _online(env: str, learner: str, preset: str) -> OnlineConfig:
-    known = task(env)  # raises UserError for an unknown task, before anything is written
-    steps = 600 if preset == "smoke" else known.steps
-    config = OnlineConfig(env=env, learner=learner, steps=steps).but(**PRESETS[preset])
-    if preset != "smoke":
-        config = config.but(**BY_ENV[preset].get(env, {}))
-        try:
-            config = config.but(**known.settings)
-        except ValidationError as error:
-            raise UserError(f"task {env}: its setting {invalid_value(error)}") from None
-    return config.but(**LEARNERS[learner].settings)
 
 
 def config_type(env: str, *learners: str) -> type[OnlineConfig | RoadConfig]:

@@ -12,10 +12,9 @@ from tom.events import Collected, Notice
 from tom.learners import with_own_settings
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
-from tom.record import RunReader, Store, checkpoint, lock
+from tom.record import RunReader, Store, checkpoint, layout, lock
 from tom.record.checkpoint import Checkpoint
 from tom.record.files import set_aside
-from tom.record.integrity import unlike
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import RerunSink
 from tom.record.task_record import changed
@@ -81,15 +80,22 @@ def resume(
         training = make_training(config)
         watch = make_watch(config, training)
         mark = _restore(reader, saved, training, watch)
+        notices += [("checkpoint", text) for text in saved.problems]
         for path in saved.unusable:  # or they would be among the two that are kept
             set_aside(reader.path, path)
+        table = reader.path / layout.METRICS_TABLE
+        for name, size in zip(layout.LINES, mark["files"]["lines"], strict=True):
+            if (held := (reader.path / name).stat().st_size) < size:
+                text = f"{name} has {held} of the {size} bytes that checkpoint {saved.env_step} had"
+                notices.append(("rows", f"{text}: rows are lost"))
+                if name == layout.METRICS and table.is_file():  # it may have them
+                    set_aside(reader.path, table)
     except BaseException:
         writer.close()
         raise
     sink = RerunSink(writer.path) if options.get("rerun", True) else None
     with Recorder(writer, sink, mark=mark) as recorder:
         writer.resumed(config, options.get("command", ""))
-        notices += [("checkpoint", text) for text in saved.problems]
         before = [Notice(saved.env_step, kind, text) for kind, text in notices if text]
         record(training, watch, recorder, writer, options, before)
     return RunReader(writer.path)
@@ -170,9 +176,8 @@ def _changed_versions(reader: RunReader, accepted: bool) -> str:
             f"run '{reader.run_id}' was trained with other versions ({', '.join(decisive)}), and "
             f"its results would change: {ACCEPT} goes on with these, or start it again"
         )
-    return (
-        f"trained with other versions until here: {', '.join(changed.values())}" if changed else ""
-    )
+    listed = ", ".join(changed.values())
+    return f"trained with other versions until here: {listed}" if listed else ""
 
 
 def _changed_settings(reader: RunReader, saved: Checkpoint, config: AnyConfig) -> str:
@@ -190,11 +195,8 @@ def _changed_settings(reader: RunReader, saved: Checkpoint, config: AnyConfig) -
     old, new = flat(before), flat(now)
     changed = [name for name in new if name != "steps" and old.get(name, new[name]) != new[name]]
     listed = ", ".join(f"{name} ({old[name]}, now {new[name]})" for name in changed)
-    return (
-        f"settings were changed since the checkpoint: {listed}; results may differ"
-        if listed
-        else ""
-    )
+    since = "settings were changed since the checkpoint"
+    return f"{since}: {listed}; results may differ" if listed else ""
 
 
 def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
@@ -204,19 +206,9 @@ def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
         raise StartAgainError(
             f"run '{reader.run_id}' has no checkpoint that is whole: start it again"
         )
-    if "sha256" not in saved.state.get("record", {}).get("files", {}):  # before 2026-11-26
-        raise StartAgainError(
-            f"the checkpoint of run '{reader.run_id}' at step {saved.env_step} is another "
-            "version's: start it again"
-        )
     if _complete(reader, saved, config):
         raise UserError(
             f"run '{reader.run_id}' is complete at step {saved.env_step}: give it more with --steps"
-        )
-    if lost := unlike(reader.path, saved):
-        raise UserError(
-            f"run '{reader.run_id}' has lost rows ({'; '.join(lost)}): `tom runs repair "
-            f"{reader.run_id}` puts back what it can, then resume"
         )
     return saved
 
@@ -237,10 +229,22 @@ def _complete(reader: RunReader, saved: Checkpoint, config: AnyConfig) -> bool:
 def _restore(
     reader: RunReader, saved: Checkpoint, training: Training, watch: Watch
 ) -> dict[str, Any]:
-    """Restore `training` from the checkpoint; returns the mark of its record."""
+    """Restore `training` from the checkpoint and the buffer; returns the mark of its record."""
     try:
-        state = saved.state["training"]
-        training.load_state_dict(state, _collected(reader, saved.env_step, state["collected"]))
+        n = saved.state["training"]["collected"]
+        rows, version, _, behaviour = reader.recorded(states=False)
+        if len(rows) < n and reader.unread:
+            raise TryLaterError(
+                f"run '{reader.run_id}' cannot be read for now ({reader.unread[0]}): nothing was "
+                "changed; see to its disk and try again"
+            )
+        if len(rows) < n:
+            raise StartAgainError(
+                f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): start it "
+                "again"
+            )
+        collected = Collected(saved.env_step, rows[:n], version[:n], behaviour=behaviour[:n])
+        training.load_state_dict(saved.state["training"], collected)
         watch.load_state_dict(saved.state["watch"])
         return saved.state["record"]
     except UNFIT as error:
@@ -248,19 +252,3 @@ def _restore(
             f"the checkpoint of run '{reader.run_id}' at step {saved.env_step} is another "
             f"version's ({type(error).__name__}: {reason(error)}): start it again"
         ) from error
-
-
-def _collected(reader: RunReader, env_step: int, n: int) -> Collected:
-    """The first `n` rows of the buffer."""
-    rows, version, _, behaviour = reader.recorded(states=False)
-    if len(rows) < n:
-        if reader.unread:
-            raise TryLaterError(
-                f"run '{reader.run_id}' cannot be read for now ({reader.unread[0]}): nothing was "
-                "changed; see to its disk and try again"
-            )
-        raise StartAgainError(
-            f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): start it "
-            "again"
-        )
-    return Collected(env_step, rows[:n], version[:n], behaviour=behaviour[:n])

@@ -105,7 +105,6 @@ class SacRecording:
         self.policy_version += 1
 
     def evaluate(self) -> Iterator[Event]:
-        """Episodes of the mean policy in separate environments."""
         yield Tick(self.env_step, "evaluate")
         yield Metrics(self.env_step, {k: float(v[0]) for k, v in self._sac_metrics.items()})
         seed = self.streams.integer(f"evaluation {self.env_step}")
@@ -136,9 +135,8 @@ class SacRecording:
         self.streams.load_state_dict(state["streams"])
         self._collector.load_state_dict(state["collector"])
         self._collected = [
-            # Checkpoints of before 2026-11-27 have no behaviour.
-            (_step(parts), version, behaviour[0].numpy() if behaviour else self._unknown)
-            for parts, version, *behaviour in state["uncollected"]
+            (_step(parts), version, behaviour.numpy())
+            for parts, version, behaviour in state["uncollected"]
         ]
         self._sac_metrics = state["sac_metrics"]
         self.replay.extend(collected.transitions[self.config.steps :].torch())
@@ -177,7 +175,6 @@ class SacRecording:
 
 
 def _plain(step: Step) -> list[Any]:
-    """A step as tensors and primitives."""
     unwrapped = (x.item() if isinstance(x, np.generic) else x for x in step)
     return [torch.from_numpy(x) if isinstance(x, np.ndarray) else x for x in unwrapped]
 

@@ -51,7 +51,6 @@ class Watch:
             yield from self.check(event)
 
     def check(self, event: Event) -> Iterator[Notice]:
-        """The notices for `event`."""
         match event:
             case Weights():
                 yield from self._card(event.env_step, 2 * self._checked)
@@ -96,12 +95,19 @@ class Watch:
             yield from self._once(env_step, code, text)
 
     def _small(self) -> str:
-        rows, batch = _first_batch(self._config)
-        if rows >= batch:
-            return ""
+        match config := self._config:
+            case OnlineConfig():
+                rows = config.exploration_steps
+                batch = min(config.model.batch_size, config.sac.batch_size)
+            case SacRecordingConfig():
+                rows, batch = max(config.exploration_steps, 1), config.sac.batch_size
+            case _:
+                return ""
         return (
             f"the buffer holds {rows} rows at first, fewer than a minibatch of {batch}: rows are "
             f"drawn with replacement; try --exploration-steps {batch} or more"
+            if rows < batch
+            else ""
         )
 
     # State
@@ -160,14 +166,3 @@ def _rollouts(env_step: int, values: Mapping[str, float]) -> Iterator[Notice]:
             f"{exploded:.2%} of the modelled steps lead far outside the data (100 times its "
             f"largest observation): {MODEL} or {SHORTER}",
         )
-
-
-def _first_batch(config: RunConfig) -> tuple[int, int]:
-    """The number of rows of which the first minibatch is drawn, and the smallest minibatch."""
-    match config:
-        case OnlineConfig():
-            return config.exploration_steps, min(config.model.batch_size, config.sac.batch_size)
-        case SacRecordingConfig():
-            return max(config.exploration_steps, 1), config.sac.batch_size
-        case _:
-            return 1, 1

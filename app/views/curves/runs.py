@@ -14,7 +14,7 @@ from app.theme import learner_label
 from tom.analysis.settings import NONE, differences
 from tom.errors import UserError
 from tom.record import manage
-from tom.record.labels import NAME_LENGTH, NOTE_LENGTH
+from tom.record.manage import NAME_LENGTH, NOTE_LENGTH
 from tom.record.reader import RunReader
 from tom.record.store import Store
 

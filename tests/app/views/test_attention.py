@@ -121,7 +121,7 @@ def test_a_fit_whose_weights_are_all_the_same_says_why(own: Path) -> None:
 
     (warm_up,) = reasons(step)
     assert not reasons(last)
-    notice = {"env_step": step, "kind": "degenerate-weights", "message": "all are zero"}
+    notice = {"env_step": step, "code": "degenerate-weights", "message": "all are zero"}
     with (own / PENDULUM_TOM / "notices.jsonl").open("a") as file:
         file.write(json.dumps(notice) + "\n")
     (unusable,) = reasons(step)

@@ -11,8 +11,8 @@ from app.data import road
 from app.data.called import names, short_names, task, told_apart
 from app.theme import COLUMNS, DIVERGING, rgb
 from tom.readable import percent
-from tom.record.labels import Labels
 from tom.record.reader import RunReader
+from tom.record.status import Labels
 
 pytestmark = pytest.mark.usefixtures("studio")
 

@@ -1,3 +1,5 @@
+"""Files that are replaced, appended to and read: what is read is what was written, or an error."""
+
 import json
 import resource
 import signal
@@ -6,14 +8,12 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
-from tom.record.files import (
-    JsonLines,
-    read_json_lines,
-    replace,
-    replace_json,
-)
+from tom.data.unpack import DAMAGE
+from tom.record.decode import NUMBERS, read_table, write_table
+from tom.record.files import JsonLines, read_json_lines, replace, replace_json
 
 
 def test_a_replacement_that_fails_leaves_the_old_file_alone(tmp_path):
@@ -106,3 +106,20 @@ def test_a_row_that_does_not_fit_the_disk_leaves_no_part_of_itself(tmp_path: Pat
     writer.join()
     assert writer.exitcode == 0
     assert read_json_lines(tmp_path / "m") == ([{"env_step": 1}, {"env_step": 3}], [])
+
+
+@pytest.mark.parametrize("more", [{}, NUMBERS], ids=["any", "numbers"])
+def test_a_changed_bit_is_found(tmp_path: Path, more: dict):
+    path, draw = tmp_path / "table.parquet", np.random.default_rng(0)
+    written = {"a": draw.random(500), "b": draw.random(500).astype(np.float32)}
+    write_table(path, pa.table(written), **more)
+    whole, wrong = path.read_bytes(), 0
+    for at in draw.integers(0, len(whole), 200):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 4]) + whole[at + 1 :])
+        try:
+            read = read_table(path)
+        except DAMAGE:
+            continue
+        same = list(read) == list(written)
+        wrong += not (same and all(np.array_equal(read[n], written[n]) for n in written))
+    assert wrong == 0

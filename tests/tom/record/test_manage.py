@@ -8,8 +8,9 @@ from recorded import Config, events
 
 from tom.errors import UserError
 from tom.record import Store, manage
-from tom.record.labels import NAME_LENGTH, Labels
+from tom.record.manage import NAME_LENGTH
 from tom.record.recorder import Recorder
+from tom.record.status import Labels
 from tom.record.writer import RunWriter
 
 
@@ -111,13 +112,3 @@ def test_only_run_folders_of_the_store_are_trashed(store: Store, record, tmp_pat
     assert (store.path / "photos/a.jpg").read_text() == "mine"
     assert (outside / "config.json").exists()
     assert not (store.path / ".trash").exists()
-
-
-def test_a_trash_that_is_a_link_is_not_followed(store: Store, record, tmp_path: Path):
-    record("run", events()[:3])
-    (tmp_path / "elsewhere").mkdir()
-    (store.path / ".trash").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(UserError, match="is a link"):
-        manage.trash(store, "run")
-    assert store.run("run").is_run
-    assert list((tmp_path / "elsewhere").iterdir()) == []

