@@ -35,8 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if args.cinema:
             from app.servers import cinema  # needs playwright, too
 
-            chosen = args.run or cinema.most_telling(store)
-            return cinema.export(store, chosen, args.cinema, args.theme or "light")
+            return cinema.export(store, args.run, args.cinema, args.theme or "light")
         studio = Studio(store, args.host, args.port, args.base_path, args.theme)
         return run(studio, browser=not args.no_browser)
     except (UserError, OSError) as error:

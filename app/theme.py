@@ -25,6 +25,8 @@ QUALITATIVE = ("#0096ff", "#c31e2d", "#a5960f", "#693cf0", "#963ca5", "#b43c5a")
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "pentagon")
 LEARNER_COLOURS = {name: entry.colour for name, entry in LEARNERS.items() if entry.colour}
 NEUTRAL = "#8a92a3"
+REAL: dict[Mode, str] = {"light": "#5b6577", "dark": "#aeb7c8"}
+"""a recorded robot, beside a model's ghosts of it"""
 BACKGROUND: dict[Mode, str] = {"light": "#ffffff", "dark": "#12151c"}
 SURFACE: dict[Mode, str] = {"light": "#f4f6fa", "dark": "#1b202b"}
 TEXT: dict[Mode, str] = {"light": "#1c2330", "dark": "#e8ecf4"}

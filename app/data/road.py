@@ -14,8 +14,6 @@ from tom.record.reader import RunReader, at_or_before
 CELLS = 40
 """the heatmap has CELLS x CELLS cells, with about six random transitions in each"""
 OUTLINE_POINTS = 24
-MODEL, TRAJECTORIES = "model", "trajectories"
-"""recorded pictures of every fit"""
 
 
 @dataclass(frozen=True)
@@ -69,21 +67,12 @@ def picture(run: RunReader, step: int) -> Picture | None:
     except KeyError:
         return None
     weight = part.snapshot(step)["weight"].to_numpy(np.float32)
-    obs = np.asarray(buffer.recorded(run).rows.obs)[: len(weight)]
-    obs, weight = obs.reshape(-1, 2), weight[: len(obs)]
-    model, lines = latest(MODEL), latest(TRAJECTORIES)
-    nothing = np.zeros((0, 2), np.float32)
-    return Picture(
-        learner=run.learner,
-        step=step,
-        road=road,
-        grid=weight_grid(obs, weight),
-        expert=trajectories(lines, "expert"),
-        learnt=trajectories(lines, "learnt"),
-        points=model.get("points", nothing),
-        true=model.get("true", nothing),
-        modelled=model.get("modelled", nothing),
-    )
+    obs = np.asarray(buffer.recorded(run).rows.obs)[: len(weight)].reshape(-1, 2)
+    model, lines, nothing = latest("model"), latest("trajectories"), np.zeros((0, 2), np.float32)
+    moves = {name: model.get(name, nothing) for name in ("points", "true", "modelled")}
+    expert, learnt = (trajectories(lines, kind) for kind in ("expert", "learnt"))
+    grid = weight_grid(obs, weight[: len(obs)])
+    return Picture(run.learner, step, road, grid, expert, learnt, **moves)
 
 
 def trajectories(arrays: Mapping[str, NDArray], kind: str) -> list[NDArray]:
@@ -123,13 +112,13 @@ def cell_centres(cells: int = CELLS) -> NDArray[np.float64]:
     return (np.arange(cells) + 0.5) / cells
 
 
-def outline(road: RoadShape) -> list[NDArray[np.float64]]:
-    """The road's edge: one closed line (K, 2) around the points within its half width."""
-    lines = road.centre_line, road.centre_line[::-1]
-    edge = np.concatenate([_one_side(line, road.half_width) for line in lines])
-    inside = distance_to_road(edge, road.centre_line) >= road.half_width * (1 - 1e-6)
-    edge = edge[inside]
-    return [np.concatenate([edge, edge[:1]])]
+def outline(road: RoadShape) -> NDArray[np.float64]:
+    """The road's edge: a closed line (K, 2) around the points within its half width."""
+    edge = np.concatenate(
+        [_left_of(line, road.half_width) for line in (road.centre_line, road.centre_line[::-1])]
+    )
+    outside = distance_to_road(edge, road.centre_line) >= road.half_width * (1 - 1e-6)
+    return np.concatenate([edge[outside], edge[outside][:1]])
 
 
 def circle(x: float, y: float, radius: float, points: int = 48) -> NDArray[np.float64]:
@@ -138,7 +127,7 @@ def circle(x: float, y: float, radius: float, points: int = 48) -> NDArray[np.fl
     return np.stack([x + radius * np.cos(turn), y + radius * np.sin(turn)], -1)
 
 
-def _one_side(line: NDArray, offset: float) -> NDArray[np.float64]:
+def _left_of(line: NDArray, offset: float) -> NDArray[np.float64]:
     """The points to the left of `line`, with a half circle around its last point and every
     corner that bends to the right; points inside the road are not removed."""
     parts = []

@@ -44,18 +44,23 @@ def road_map(picture: Picture, mode: Mode, height: int) -> go.Figure:
             **relative_scale(picture.grid, mode, flat=True, reach=OCTAVES),
         )
     )
-    figure.add_trace(_lines(outline(picture.road), "road", TEXT[mode], 1.5))
+    figure.add_trace(_lines([outline(picture.road)], "road", TEXT[mode], 1.5))
     for (x, y, radius), tint in ((picture.road.start, START), (picture.road.goal, GOAL)):
         figure.add_trace(_lines([circle(x, y, radius)], "", tint, 3))
     figure.add_trace(_lines(picture.expert, "expert", NEUTRAL, 1, opacity=0.6))
     name = f"{text.plotly(learner_label(picture.learner))} policy"
     figure.add_trace(_lines(picture.learnt, name, colour, 2.2))
-    keep = _thinned(len(picture.points))
+    side = round(len(picture.points) ** 0.5)
+    field = np.arange(side**2).reshape(side, side)[::ARROW_STRIDE, ::ARROW_STRIDE].ravel()
     for moves, label, tint in (
         (picture.true, "real move", TEXT[mode]),
         (picture.modelled, "modelled move", colour),
     ):
-        trace = _lines(_darts(picture.points[keep], moves[keep]), label, tint, 1.4)
+        points, moves = picture.points[field], moves[field]
+        tips, across = points + moves, np.stack([-moves[:, 1], moves[:, 0]], -1)
+        left, right = tips - 0.3 * moves + 0.18 * across, tips - 0.3 * moves - 0.18 * across
+        # Shaft, then the two sides of the head.
+        trace = _lines(list(np.stack([points, tips, left, tips, right], 1)), label, tint, 1.4)
         figure.add_trace(trace.update(visible="legendonly"))
     square = {"range": [0, 1], "showgrid": False, "showticklabels": False, "ticks": ""}
     square |= {"constrain": "domain"}
@@ -80,20 +85,3 @@ def _lines(
     shown = bool(name) and len(lines) > 0
     more = {"name": name, "opacity": opacity, "hoverinfo": "skip", "showlegend": shown}
     return line(points[:, 0], points[:, 1], colour, width, None, **more)
-
-
-def _darts(points: NDArray, moves: NDArray) -> list[NDArray]:
-    """Arrows as polylines: shaft, then the two sides of the head."""
-    tips = points + moves
-    side = np.stack([-moves[:, 1], moves[:, 0]], -1)
-    left, right = tips - 0.3 * moves + 0.18 * side, tips - 0.3 * moves - 0.18 * side
-    return list(np.stack([points, tips, left, tips, right], 1))
-
-
-def _thinned(count: int) -> NDArray[np.int64]:
-    """Indices of every second row and column of a square field of points."""
-    side = int(np.sqrt(count))
-    if side * side != count:
-        return np.arange(count)
-    index = np.arange(count).reshape(side, side)
-    return index[::ARROW_STRIDE, ::ARROW_STRIDE].ravel()

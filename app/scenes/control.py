@@ -6,11 +6,10 @@ Only this user can open the socket, so its messages are pickled objects of this 
 import logging
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from multiprocessing.connection import Client, Listener
 from pathlib import Path
-from queue import SimpleQueue
-from threading import Thread
 from typing import Literal
 
 from app.theme import Mode
@@ -39,7 +38,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class RoadChoice:
-    """Fits of road-and-rocks runs side by side; by default of the newest run."""
+    """Fits of road-and-rocks runs side by side."""
 
     runs: tuple[str, ...] = ()
     step: int = -1
@@ -66,14 +65,13 @@ class ReplayChoice:
 
 @dataclass(frozen=True)
 class StatesChoice:
-    """Robots in states of a run's replay buffer: two groups of rows, side by side."""
+    """Robots in states of a run's replay buffer: two groups of rows, side by side.
+
+    Each group has a title, the rows' numbers in the run's record, and their weights.
+    """
 
     run: str
-    heavy: tuple[int, ...]  # numbers in the run's record
-    light: tuple[int, ...]
-    heavy_weights: tuple[float, ...]
-    light_weights: tuple[float, ...]
-    titles: tuple[str, str] = ("heaviest", "lightest")
+    groups: tuple[tuple[str, tuple[int, ...], tuple[float, ...]], ...]
 
 
 Choice = RoadChoice | ReplayChoice | StatesChoice
@@ -125,10 +123,13 @@ def listen(
     Selections are shown in a thread, so that a scene that takes long to draw delays no answer. A
     message that fails is logged.
     """
-    arrived: SimpleQueue[tuple[str, Selection]] = SimpleQueue()
-    Thread(target=_show_all, args=(arrived, select), daemon=True).start()
+
+    def failed(shown: Future[None]) -> None:
+        if error := shown.exception():
+            _log.error("a page's selection was not shown", exc_info=error)
+
     Path(socket).unlink(missing_ok=True)  # left by a killed server
-    with Listener(socket) as listener:
+    with Listener(socket) as listener, ThreadPoolExecutor(1) as scenes:
         while True:
             try:
                 with listener.accept() as caller:
@@ -136,17 +137,6 @@ def listen(
                     if selection is None:
                         caller.send(clock_of(page))
                     else:
-                        arrived.put((page, selection))
+                        scenes.submit(select, page, selection).add_done_callback(failed)
             except (OSError, EOFError):  # the page was closed meanwhile
                 _log.exception("a page was not heard")
-
-
-def _show_all(
-    arrived: SimpleQueue[tuple[str, Selection]], select: Callable[[str, Selection], None]
-) -> None:
-    while True:
-        page, selection = arrived.get()
-        try:
-            select(page, selection)
-        except Exception:
-            _log.exception("a page's selection was not shown")

@@ -24,10 +24,8 @@ Vector = tuple[float, float, float]
 
 GLOW: dict[Mode, float] = {"light": 1.7, "dark": 1.1}
 """brightness of the ambient light"""
-CELL = 0.5
-"""metres between two lines of the floor"""
-SECTION = 2.0
-"""metres between two thick lines"""
+CELL, SECTION = 0.5, 2.0
+"""metres between two lines of the floor, and between two thick ones"""
 _FLOOR: dict[Mode, tuple[str, str, str]] = {
     "light": ("#eef0f4", "#d3d8e2", "#aab2c2"),
     "dark": ("#171b24", "#2b3240", "#465066"),
@@ -55,6 +53,8 @@ class Frame:
         self.client = client
         self.store = Store(store)
         self.mode: Mode = mode
+        self._drawn: Any = None
+        """what the scene shows; None if it must be drawn anew"""
         self._lock = threading.RLock()
         self._closed = False
         self._dress()
@@ -70,9 +70,8 @@ class Frame:
         """
         with self._lock:
             if selection.mode != self.mode:
-                self.mode = selection.mode
+                self.mode, self._drawn = selection.mode, None
                 self._dress()
-                self._mode_changed()
             self._show(selection.choice, obey=obey)
 
     def close(self) -> None:
@@ -133,11 +132,8 @@ class Frame:
     def _show(self, choice: Any, *, obey: bool) -> None:
         raise NotImplementedError
 
-    def _mode_changed(self) -> None:
-        """Redraw everything that has colours of the old mode."""
-
     def _tick(self, seconds: float) -> None:
-        """Advance playback; by default nothing plays."""
+        raise NotImplementedError
 
 
 def stage(scene: viser.SceneApi, mode: Mode, front: float) -> None:
@@ -165,12 +161,6 @@ def floor(scene: viser.SceneApi, height: float, mode: Mode) -> viser.GridHandle:
     )
 
 
-def under(place: np.ndarray, height: float) -> tuple[float, float, float]:
-    """The floor's position when a robot at `place` (3,) is drawn at the origin."""
-    x, y = -np.mod(place[:2], SECTION)
-    return float(x), float(y), height
-
-
 def painted(words: str, mode: Mode) -> NDArray[np.uint8]:
     """The words as a picture (h, w, 4), transparent between letters; first row on top."""
     font = ImageFont.load_default(PIXELS)
@@ -183,10 +173,9 @@ def painted(words: str, mode: Mode) -> NDArray[np.uint8]:
     return np.asarray(image)
 
 
-def extent(words: str, mode: Mode, height: float) -> tuple[float, float]:
-    """Width and height in metres of words whose letters are `height` high."""
-    high, across = painted(words, mode).shape[:2]
-    return height / PIXELS * across, height / PIXELS * high
+def extent(words: str, mode: Mode, height: float) -> NDArray[np.float64]:
+    """Width and height (2,) in metres of words whose letters are `height` high."""
+    return height / PIXELS * np.array(painted(words, mode).shape[1::-1])
 
 
 def add_words(
@@ -203,9 +192,22 @@ def add_words(
     `tilt` is the angle from the ground: 0 is flat, read from above; pi / 2 is upright, read from
     -y and from behind.
     """
-    width, high = extent(words, mode, height)
-    picture = _one_sided(painted(words, mode), width, high)
-    middle = np.array(foot) + high / 2 * np.array([0.0, np.cos(tilt), np.sin(tilt)])
+    size = extent(words, mode, height)
+    texture = Image.fromarray(painted(words, mode))
+    # It shines and reflects nothing: under the scene's light the letters would change their colour.
+    material = PBRMaterial(
+        baseColorTexture=texture, baseColorFactor=(0, 0, 0, 255),
+        emissiveTexture=texture, emissiveFactor=(1, 1, 1),
+        alphaMode="BLEND", metallicFactor=1.0, roughnessFactor=1.0, doubleSided=False,
+    )  # fmt: skip
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)
+    picture = Trimesh(  # visible only from +z, as in glTF
+        np.column_stack([(corners - 0.5) * size, np.zeros(4)]),
+        [(0, 1, 2), (0, 2, 3)],
+        visual=TextureVisuals(uv=corners, material=material),
+        process=False,
+    )
+    middle = np.array(foot) + size[1] / 2 * np.array([0.0, np.cos(tilt), np.sin(tilt)])
     across, along = np.cos(tilt / 2), np.sin(tilt / 2)
     return [
         scene.add_mesh_trimesh(
@@ -214,22 +216,3 @@ def add_words(
         )
         for side, turn in (("front", (across, along, 0, 0)), ("back", (0, 0, across, along)))
     ]  # fmt: skip
-
-
-def _one_sided(image: NDArray[np.uint8], width: float, height: float) -> Trimesh:
-    """A picture as a rectangle in x and y that is visible only from +z, as in glTF."""
-    texture = Image.fromarray(image)
-    # It shines and reflects nothing: under the scene's light the letters would change their colour.
-    material = PBRMaterial(
-        baseColorTexture=texture, baseColorFactor=(0, 0, 0, 255),
-        emissiveTexture=texture, emissiveFactor=(1, 1, 1),
-        alphaMode="BLEND", metallicFactor=1.0, roughnessFactor=1.0, doubleSided=False,
-    )  # fmt: skip
-    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)
-    flat = (corners - 0.5) * (width, height)
-    return Trimesh(
-        np.column_stack([flat, np.zeros(4)]),
-        [(0, 1, 2), (0, 2, 3)],
-        visual=TextureVisuals(uv=corners, material=material),
-        process=False,
-    )

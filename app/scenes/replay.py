@@ -2,76 +2,22 @@
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 
 from app.data import replays
 from app.data.replays import Replay
 from app.scenes import solids
 from app.scenes.control import REAL_TIME, SPEEDS, Clock, ReplayChoice
-from app.scenes.frame import Frame, Vector, floor, under
+from app.scenes.frame import SECTION, Frame, Vector, floor
 from app.scenes.road import draw_map
 from app.scenes.solids import Robot, Solids
-from app.theme import Mode, learner_colour, rgb
+from app.theme import REAL, learner_colour, rgb
 from tom.envs import ENVS
-from tom.envs import scene as geometry
 from tom.errors import UserError
 
-REAL: dict[Mode, str] = {"light": "#5b6577", "dark": "#aeb7c8"}
 GHOST_OPACITY = 0.45
 ASIDE = np.array([0.0, -0.03, 0.0])
 """metres from the real robot to its ghost, towards the camera, because coinciding surfaces
 would flicker"""
-
-
-def track(model: geometry.Model | None, qpos: NDArray) -> Solids:
-    """A MuJoCo task's robot at joint positions (H + 1, nq).
-
-    Without a model it is road-and-rocks' car at positions (H + 1, 2).
-    """
-    return solids.car(qpos) if model is None else solids.of(model, qpos)
-
-
-class ReplayScene:
-    """The scene nodes of one episode; `pose` sets them to a frame."""
-
-    def __init__(self, scene: viser.SceneApi, replay: Replay, mode: Mode) -> None:
-        self._real = track(replay.model, replay.real)
-        self._ghost = None if replay.ghost is None else track(replay.model, replay.ghost)
-        self._floor = None if replay.road else floor(scene, self._real.floor, mode)
-        if replay.road:
-            draw_map(scene, replay.road, mode)
-        self.robot = Robot(scene, "/real", self._real.meshes, [rgb(REAL[mode])])
-        self.ghost = None
-        if self._ghost is not None:
-            colour = rgb(learner_colour(replay.learner))
-            self.ghost = Robot(scene, "/ghost", self._ghost.meshes, [colour], GHOST_OPACITY)
-
-    @property
-    def height(self) -> float:
-        """The height of the robot's root above the floor in the first frame."""
-        return float(self._real.root[0, 2] - self._real.floor)
-
-    @property
-    def covered(self) -> tuple[Vector, float]:
-        """Centre and extent of the robot's parts in the first frame, over the origin."""
-        parts = self._real.position[0] - self._real.root[0] * (1.0, 1.0, 0.0)
-        middle = np.median(parts, axis=0).astype(np.float32)
-        x, y, z = middle.tolist()
-        return (x, y, z), float(np.quantile(np.linalg.norm(parts - middle, axis=-1), 0.9))
-
-    def pose(self, frame: int, *, follow: bool) -> None:
-        """Show step `frame`; with `follow` the real robot stays over the origin."""
-        place = np.zeros(3)
-        if self._floor is not None and follow:
-            place = self._real.root[frame] * (1.0, 1.0, 0.0)
-            self._floor.position = under(place, self._real.floor)
-        for robot, of, aside in (
-            (self.robot, self._real, 0.0),
-            (self.ghost, self._ghost, ASIDE),
-        ):
-            if robot is not None and of is not None:
-                shifted = (of.position[frame] - place + aside).astype(np.float32)
-                robot.pose(shifted[None], of.wxyz[frame][None])
 
 
 class ReplayFrame(Frame):
@@ -82,7 +28,7 @@ class ReplayFrame(Frame):
     fill = 1.5
 
     def _build_panel(self) -> None:
-        self._drawn: tuple[Replay, ReplayScene] | None = None
+        self._replay: Replay | None = None
         self._choice: ReplayChoice | None = None
         self._at, self._asked = 0.0, 0
         self.playing = False
@@ -100,7 +46,7 @@ class ReplayFrame(Frame):
             raise UserError(f"there is nothing to draw of {run.env}: its curves are on the page")
         at = choice.frame if self._choice is None else self._at
         self._choice = choice
-        if self._drawn is None or self._drawn[0] is not replay:
+        if self._drawn is not replay:
             self._draw(replay)
         if obey and choice.wish in ("go", "start"):
             at = choice.frame
@@ -114,17 +60,24 @@ class ReplayFrame(Frame):
         asked = self._asked  # read first: the rest may already be the outcome of a later request
         return Clock(int(self._at), self.playing, asked)
 
-    def _mode_changed(self) -> None:
-        self._drawn = None
-
     def _draw(self, replay: Replay) -> None:
-        other = self._drawn is None or self._drawn[0].env != replay.env
+        scene, real, self._ghost = self.client.scene, solids.of(replay.model, replay.real), None
         with self.client.atomic():
             self.clear()
-            scene = ReplayScene(self.client.scene, replay, self.mode)
-        self._drawn = replay, scene
+            if replay.road:
+                draw_map(scene, replay.road, self.mode)
+            self._floor = None if replay.road else floor(scene, real.floor, self.mode)
+            self._robot = Robot(scene, "/real", real, [rgb(REAL[self.mode])])
+            if replay.ghost is not None:
+                ghost, colour = (
+                    solids.of(replay.model, replay.ghost),
+                    learner_colour(replay.learner),
+                )
+                self._ghost = Robot(scene, "/ghost", ghost, [rgb(colour)], GHOST_OPACITY)
+        other = self._replay is None or self._replay.env != replay.env
+        self._replay = self._drawn = replay
         if other:
-            self.look(*_view(replay, scene))
+            self.look(*_view(replay, real))
         self.frame.max = replay.episode.length
 
     def _toggle(self) -> None:
@@ -136,32 +89,44 @@ class ReplayFrame(Frame):
                 self._pose(0)
 
     def _tick(self, seconds: float) -> None:
-        if self.playing and self._drawn and self._choice:
+        if self.playing and self._replay and self._choice:
             speed = SPEEDS.get(self._choice.speed, SPEEDS[REAL_TIME])
-            self._pose(self._at + seconds * speed / self._drawn[0].dt)
+            self._pose(self._at + seconds * speed / self._replay.dt)
             if self._at >= self.frame.max:
                 self._toggle()
 
     def _pose(self, at: float) -> None:
-        """Show a frame, or the last one if the episode is shorter."""
+        """Show a frame, or the last one if the episode is shorter.
+
+        If the camera follows, the real robot stays over the origin.
+        """
         self._at = float(np.clip(at, 0, self.frame.max))
-        self.frame.value = int(self._at)
-        if self._drawn and self._choice:
-            _, scene = self._drawn
-            with self.client.atomic():
-                scene.pose(int(self._at), follow=self._choice.follow)
-                if scene.ghost is not None:
-                    scene.ghost.visible = self._choice.ghost
+        self.frame.value = frame = int(self._at)
+        if self._replay is None or self._choice is None:
+            return
+        with self.client.atomic():
+            place, real = np.zeros(3), self._robot.solids
+            if self._floor is not None and self._choice.follow:
+                place = real.root[frame] * (1.0, 1.0, 0.0)
+                x, y = -np.mod(place[:2], SECTION)
+                self._floor.position = float(x), float(y), real.floor
+            self._robot.pose(frame, -place)
+            if self._ghost is not None:
+                self._ghost.pose(frame, ASIDE - place)
+                self._ghost.node.visible = self._choice.ghost
 
 
-def _view(replay: Replay, scene: ReplayScene) -> tuple[Vector, Vector]:
+def _view(replay: Replay, real: Solids) -> tuple[Vector, Vector]:
     """The camera's position and target."""
     if replay.road:
         return (0.5, -0.4, 1.25), (0.5, 0.42, 0.0)
     if replay.env in ENVS:
-        away = 1.6 + 0.9 * scene.height
-        return (0.45 * away, -away, 0.5 + 0.6 * scene.height), (0.0, 0.0, 0.5 * scene.height)
+        height = float(real.root[0, 2] - real.floor)
+        away = 1.6 + 0.9 * height
+        return (0.45 * away, -away, 0.5 + 0.6 * height), (0.0, 0.0, 0.5 * height)
     # An unknown robot: from its extent in the first frame.
-    (x, y, z), span = scene.covered
-    away = 0.8 + 1.1 * span
+    parts = real.position[0] - real.root[0] * (1.0, 1.0, 0.0)
+    middle = np.median(parts, axis=0)
+    x, y, z = middle.tolist()
+    away = 0.8 + 1.1 * float(np.quantile(np.linalg.norm(parts - middle, axis=-1), 0.9))
     return (x + 0.45 * away, y - away, z + 0.6 * away), (x, y, z)

@@ -1,6 +1,7 @@
-"""Road-and-rocks in 3D: columns, ground, stones and lines as arrays, and their scene nodes."""
+"""Road-and-rocks in 3D: in a browser frame, and as one HTML file that plays without a server."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,12 +9,35 @@ import viser
 from numpy.typing import NDArray
 from trimesh import PointCloud, creation
 
+from app.data import road
+from app.data.called import told_apart
 from app.data.road import CELLS, Picture, RoadShape, cell_centres, circle, on_road, outline
-from app.figures.base import OCTAVES, octaves
+from app.figures.base import OCTAVES
 from app.scenes import solids
-from app.scenes.frame import Vector, add_words, extent
-from app.scenes.solids import Colour, Robot, copies
-from app.theme import COLUMNS, NEUTRAL, Mode, learner_colour, learner_label, on_scale, rgb
+from app.scenes.control import RoadChoice
+from app.scenes.frame import Frame, Vector, add_words, extent, stage
+from app.scenes.solids import Colour, Robot, copies, weight_colours
+from app.theme import NEUTRAL, Mode, learner_colour, rgb
+from tom.errors import UserError
+from tom.machine.address import free_port
+from tom.record.reader import at_or_before
+
+LAYERS = (
+    ("columns", "weights as columns", True),
+    ("flat", "weights as colours", False),
+    ("expert", "expert's ways", True),
+    ("learnt", "learnt policy's ways", True),
+    ("cars", "cars", True),
+    ("true", "real displacement", False),
+    ("modelled", "modelled displacement", False),
+    ("boulders", "rocks", True),
+)
+PLAY_S = 1.0
+"""seconds for which each fit is shown during playback"""
+STEPS_PER_S, REST = 20.0, 20
+"""steps of the task that the cars drive per second, and that they wait after they have arrived"""
+FRAME_S, STRIDE, REST_S = 0.1, 2, 1.0
+"""of a film: seconds between two frames, steps of the task, and seconds after the cars' arrival"""
 
 CAMERA = (0.5, -0.12, 0.82)
 LOOK_AT = (0.5, 0.59, 0.0)
@@ -47,58 +71,25 @@ _STONE: dict[Mode, Colour] = {"light": (176, 167, 155), "dark": (84, 80, 78)}
 _LINE: dict[Mode, Colour] = {"light": (255, 255, 255), "dark": (205, 210, 222)}
 
 
-class Fleet(Robot):
-    """Cars on recorded trajectories, (H + 1, 2) each."""
-
-    def __init__(
-        self, scene: viser.SceneApi, name: str, lines: Sequence[NDArray], colour: Colour
-    ) -> None:
-        self._ways = [solids.car(line, TALLEST + 2 * LIFT) for line in lines if len(line)]
-        self.longest = max((len(way.position) - 1 for way in self._ways), default=0)
-        """steps of the longest trajectory"""
-        meshes = [creation.box(sizes) for sizes in solids.CAR_SIZES]
-        super().__init__(scene, name, meshes, [colour] * len(self._ways))
-        self.drive(0)
-
-    def drive(self, step: float) -> None:
-        """Move every car to a step of its trajectory; arrived cars stay at the end."""
-        at = [(way, min(int(step), len(way.position) - 1)) for way in self._ways]
-        position, wxyz = [way.position[i] for way, i in at], [way.wxyz[i] for way, i in at]
-        self.pose(np.reshape(position, (-1, 2, 3)), np.reshape(wxyz, (-1, 2, 4)))
-
-
 class RoadScene:
     """One run's map: the ground is drawn once, each fit by `update`."""
 
     def __init__(
-        self,
-        scene: viser.SceneApi,
-        picture: Picture,
-        mode: Mode,
-        number: int = 0,
-        called: str = "",
+        self, scene: viser.SceneApi, picture: Picture, mode: Mode, number: int, title: str
     ) -> None:
-        """`number` is the map's place from the left among several.
-
-        `called` is the title above the map, by default the learner's name.
-        """
+        """`number` is the map's place from the left, `title` stands above it."""
         self._scene, self._name = scene, f"/road{number}"
         self._mode: Mode = mode
+        self._title = title
         scene.add_frame(self._name, show_axes=False, position=(place(number), 0.0, 0.0))
-        self._called = called or learner_label(picture.learner)
         draw_map(scene, picture.road, mode, self._name)
         position, size = stones(picture.road)
         turn = np.random.default_rng(5).normal(size=(len(size), 4))
         self._stones = copies(
-            scene,
-            f"{self._name}/boulders",
-            PointCloud(STONE).convex_hull,
-            position,
-            np.array(_STONE[mode], np.uint8),
-            turn / np.linalg.norm(turn, axis=1, keepdims=True),
-            batched_scales=size,
-            flat_shading=True,
-        )
+            scene, f"{self._name}/boulders", PointCloud(STONE).convex_hull, position,
+            np.array(_STONE[mode], np.uint8), turn / np.linalg.norm(turn, axis=1, keepdims=True),
+            batched_scales=size, flat_shading=True,
+        )  # fmt: skip
         self.update(picture)
 
     def update(self, picture: Picture) -> None:
@@ -110,22 +101,22 @@ class RoadScene:
         def arrows(kind: str, moves: NDArray, tint: Colour) -> viser.SceneNodeHandle:
             ends = segments(np.stack([picture.points, picture.points + moves], 1), 2 * LIFT)
             return scene.add_arrows(
-                f"{name}/{kind}",
-                ends,
-                tint,
-                shaft_radius=0.0014,
-                head_radius=0.0042,
-                head_length=0.012,
-                visible=False,
-            )
+                f"{name}/{kind}", ends, tint,
+                shaft_radius=0.0014, head_radius=0.0042, head_length=0.012, visible=False,
+            )  # fmt: skip
+
+        def cars(whose: str, lines: Sequence[NDArray], tint: Colour) -> Robot:
+            driven = solids.car(together(lines), over + LIFT)
+            return Robot(scene, f"{name}/{whose} cars", driven, [tint] * len(lines))
 
         self.cars = [
-            Fleet(scene, f"{name}/expert cars", picture.expert[:EXPERTS], grey),
-            Fleet(scene, f"{name}/learnt cars", picture.learnt, colour),
+            cars("expert", picture.expert[:EXPERTS], grey),
+            cars("learnt", picture.learnt, colour),
         ]
+        self.drive(0)
         position, scale, tint = columns(picture.grid, self._mode)
         box, flat = creation.box((1, 1, 1)), np.ones((CELL_PIXELS, CELL_PIXELS, 1), np.uint8)
-        self.layers: dict[str, list[viser.SceneNodeHandle | Fleet]] = {
+        self.layers: dict[str, list[viser.SceneNodeHandle]] = {
             "columns": [
                 copies(
                     scene, f"{name}/weights", box, position, tint,
@@ -140,12 +131,12 @@ class RoadScene:
             ],
             "expert": [_lines(scene, f"{name}/expert", picture.expert, grey, over, 1.4)],
             "learnt": [_lines(scene, f"{name}/learnt", picture.learnt, colour, over + LIFT, 3.5)],
-            "cars": [*self.cars],
+            "cars": [car.node for car in self.cars],
             "true": [arrows("true", picture.true, grey)],
             "modelled": [arrows("modelled", picture.modelled, colour)],
             "boulders": [self._stones],
         }  # fmt: skip
-        title, foot = f"{self._called}, record of step {picture.step:,}", (0.5, 1.03, 0.02)
+        title, foot = f"{self._title}, record of step {picture.step:,}", (0.5, 1.03, 0.02)
         add_words(scene, f"{name}/title", title, self._mode, foot, TITLE, TILT)
 
     def show(self, layers: Mapping[str, bool]) -> None:
@@ -157,12 +148,12 @@ class RoadScene:
     @property
     def longest(self) -> int:
         """The number of steps of the longest trajectory."""
-        return max(fleet.longest for fleet in self.cars)
+        return max(cars.frames for cars in self.cars) - 1
 
     def drive(self, step: float) -> None:
         """Move every car to a step of its trajectory."""
-        for fleet in self.cars:
-            fleet.drive(step)
+        for cars in self.cars:
+            cars.pose(step)
 
 
 def draw_map(scene: viser.SceneApi, road: RoadShape, mode: Mode, root: str = "") -> None:
@@ -170,7 +161,7 @@ def draw_map(scene: viser.SceneApi, road: RoadShape, mode: Mode, root: str = "")
     scene.add_image(
         f"{root}/ground", ground(road, mode), 1.0, 1.0, format="png", position=(0.5, 0.5, 0)
     )
-    _lines(scene, f"{root}/edge", outline(road), _LINE[mode], LIFT, 2.5)
+    _lines(scene, f"{root}/edge", [outline(road)], _LINE[mode], LIFT, 2.5)
     _lines(scene, f"{root}/centre", dashes(road.centre_line), _LINE[mode], LIFT, 1.5)
     for name, (x, y, radius), colour in (
         ("start", road.start, (43, 111, 224)),
@@ -230,15 +221,13 @@ def columns(
     middle, side = cell_centres(), np.full(len(x), 0.86 / CELLS)
     position = np.stack([middle[x], middle[y], height / 2], -1).astype(np.float32)
     scale = np.stack([side, side, height], -1).astype(np.float32)
-    return position, scale, on_scale(octaves(weight) / (2 * OCTAVES) + 0.5, COLUMNS[mode])
+    return position, scale, weight_colours(weight, mode)
 
 
 def cells(grid: NDArray[np.float64], mode: Mode) -> NDArray[np.uint8]:
     """The weights as a picture (CELLS, CELLS, 4), row 0 at the lowest y, empty cells clear."""
-    known = np.isfinite(grid)
-    share = octaves(np.where(known, grid, 1.0)) / (2 * OCTAVES) + 0.5
-    alpha = np.where(known, 235, 0).astype(np.uint8)
-    return np.concatenate([on_scale(share, COLUMNS[mode]), alpha[..., None]], -1)
+    alpha = np.where(np.isfinite(grid), 235, 0).astype(np.uint8)
+    return np.dstack([weight_colours(np.nan_to_num(grid, nan=1.0), mode), alpha])
 
 
 def ground(road: RoadShape, mode: Mode) -> NDArray[np.uint8]:
@@ -256,8 +245,7 @@ def stones(road: RoadShape) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     draw = np.random.default_rng(3)
     places = draw.uniform(0.01, 0.99, (4 * STONES, 2))
     size = draw.uniform(0.004, 0.013, 4 * STONES)
-    wider = RoadShape(road.centre_line, road.half_width + 0.02, road.start, road.goal)
-    off = ~on_road(places, wider)
+    off = ~on_road(places, replace(road, half_width=road.half_width + 0.02))
     places, size = places[off][:STONES], size[off][:STONES]
     return np.column_stack([places, size * 0.35]).astype(np.float32), size.astype(np.float32)
 
@@ -279,3 +267,142 @@ def dashes(line: NDArray) -> list[NDArray]:
             for s in np.arange(0, 1, 2 * share)
         ]
     return parts
+
+
+def together(lines: Sequence[NDArray]) -> NDArray:
+    """R lines (H, 2) as one array (R, longest, 2); the shorter ones stay at their ends."""
+    longest = np.arange(max(map(len, lines), default=1))
+    whole = [line[np.minimum(longest, len(line) - 1)] for line in lines]
+    return np.reshape(whole, (-1, len(longest), 2))
+
+
+class RoadFrame(Frame):
+    """Shows fits of road-and-rocks runs side by side."""
+
+    title = "Road and rocks"
+
+    def _build_panel(self) -> None:
+        self._runs: tuple[str, ...] = ()
+        self._steps: list[int] = []
+        self._scenes: list[RoadScene] = []
+        self._since = self._driven = 0.0
+        gui = self.client.gui
+        self.fit = gui.add_slider("fit", 0, 1, 1, 0)
+        self.words = gui.add_markdown("")
+        self.play = gui.add_checkbox("play the fits", initial_value=False)
+        self.drive = gui.add_checkbox("let the cars drive", initial_value=False)
+        with gui.add_folder("Layers", expand_by_default=False):
+            self.layers = {
+                name: gui.add_checkbox(label, initial_value=shown) for name, label, shown in LAYERS
+            }
+        self.on_scrub(self.fit, lambda _: self._redraw())
+        for layer in self.layers.values():
+            layer.on_update(lambda _: self._apply_layers())
+
+    def _show(self, choice: RoadChoice, *, obey: bool) -> None:
+        self._runs = choice.runs
+        steps = {step for name in self._runs for step in road.steps(self.store.run(name))}
+        self._steps = sorted(steps)
+        self.fit.max = max(len(self._steps) - 1, 1)
+        self.fit.disabled = len(self._steps) < 2
+        if choice.step in self._steps:
+            self.fit.value = self._steps.index(choice.step)
+        self._redraw()
+
+    def _tick(self, seconds: float) -> None:
+        """Advance to the next fit if the fits play, in a loop, and move the cars."""
+        self._since += seconds
+        if self.play.value and len(self._steps) > 1 and self._since >= PLAY_S:
+            self._since = 0.0
+            self.fit.value = (int(self.fit.value) + 1) % len(self._steps)
+            self._redraw()
+        if self.drive.value:
+            longest = max((each.longest for each in self._scenes), default=0)
+            self._driven = (self._driven + seconds * STEPS_PER_S) % (longest + REST)
+            self._drive()
+
+    def _redraw(self) -> None:
+        if not self._steps:
+            return
+        step = self._steps[min(int(self.fit.value), len(self._steps) - 1)]
+        shown = [(run, fit) for run in self._runs if (fit := self._fit_of(run, step)) is not None]
+        drawn = [(run, picture.step) for run, picture in shown]
+        if drawn == self._drawn or not shown:
+            return
+        same = self._drawn is not None and [r for r, _ in drawn] == [r for r, _ in self._drawn]
+        with self.client.atomic():
+            if same:
+                for each, (_, picture) in zip(self._scenes, shown, strict=True):
+                    each.update(picture)
+            else:
+                self._draw(shown)
+            self._apply_layers()
+            self._drive()
+        self._drawn = drawn
+        self.words.content = f"the record of step **{step:,}**"
+
+    def _fit_of(self, run_id: str, step: int) -> Picture | None:
+        """A run's fit at `step`, else the last one before; None if it was deleted or damaged."""
+        try:
+            run = self.store.run(run_id)
+        except UserError:
+            return None
+        steps = road.steps(run)
+        return road.picture(run, at_or_before(steps, step)) if steps else None
+
+    def _draw(self, shown: list[tuple[str, Picture]]) -> None:
+        if len(shown) != len(self._scenes):
+            camera = self.client.camera
+            high = camera.image_height  # 0 in a tab that was never in front
+            aspect = camera.image_width / high if high else ASPECT
+            self.look(*view(len(shown), camera.fov, aspect))
+        self.clear()
+        called = told_apart([self.store.run(run) for run, _ in shown])
+        self._scenes = [
+            RoadScene(self.client.scene, picture, self.mode, i, called[run])
+            for i, (run, picture) in enumerate(shown)
+        ]
+
+    def _drive(self) -> None:
+        for each in self._scenes:
+            each.drive(self._driven)
+
+    def _apply_layers(self) -> None:
+        with self._lock:
+            for each in self._scenes:
+                each.show({name: bool(box.value) for name, box in self.layers.items()})
+
+
+def as_html(fits: Sequence[Sequence[Picture]], mode: Mode, titles: Sequence[str]) -> str:
+    """The pictures of R runs at F fits, (F, R), as a self-contained page; `titles` are (R,).
+
+    Its timeline shows the fits one after another; in each the cars drive their whole way. It is
+    made by a temporary viser server in this process.
+    """
+    here = "127.0.0.1"
+    server = viser.ViserServer(here, free_port(here), verbose=False)
+    try:
+        server.scene.set_up_direction("+z")
+        server.scene.configure_environment_map(None)
+        stage(server.scene, mode, front=0.5)
+        server.scene.world_axes.visible = False
+        camera = server.initial_camera
+        camera.position, camera.look_at = view(len(fits[0]), camera.fov)
+        scenes = [
+            RoadScene(server.scene, picture, mode, i, title)
+            for i, (picture, title) in enumerate(zip(fits[0], titles, strict=True))
+        ]
+        film = server.get_scene_serializer()
+        for number, fit in enumerate(fits):
+            for each, picture in zip(scenes, fit, strict=True):
+                if number:
+                    each.update(picture)
+                each.show({name: shown for name, _, shown in LAYERS})
+            for step in range(0, max(each.longest for each in scenes) + STRIDE, STRIDE):
+                for each in scenes:
+                    each.drive(step)
+                film.insert_sleep(FRAME_S)
+            film.insert_sleep(REST_S)
+        return film.as_html(dark_mode=mode == "dark")
+    finally:
+        server.stop()

@@ -2,8 +2,9 @@
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,15 @@ import viser
 from websockets.asyncio import server
 
 from app.links import Links
-from app.scenes.control import Choice, Clock, ReplayChoice, RoadChoice, Selection, listen
+from app.scenes.control import (
+    Choice,
+    Clock,
+    ReplayChoice,
+    RoadChoice,
+    Selection,
+    StatesChoice,
+    listen,
+)
 from tom import plugins
 from tom.errors import UserError
 
@@ -39,12 +48,9 @@ class SceneServer:
     def select(self, page: str, selection: Selection) -> None:
         """Store a page's selection and show it in its frames."""
         before, self.chosen[page] = self.chosen.get(page), selection
-        if before == selection:
-            return
-        here = [item for item in list(self.frames.items()) if item[1][0] == page]
-        obey = bool(here) and self._asks_anew(page, selection.choice)
-        for number, (_, frame) in here:
-            self._show(number, page, frame, selection, obey=obey)
+        here = [frame.client for name, frame in list(self.frames.values()) if name == page]
+        if here and before != selection:
+            self._show(page, here)
 
     def clock(self, page: str) -> Clock | None:
         """The clock of a page's frame; None if nothing plays there."""
@@ -56,49 +62,48 @@ class SceneServer:
         for _, frame in list(self.frames.values()):
             frame.tick(seconds)
 
-    def _asks_anew(self, page: str, choice: Choice) -> bool:
-        """Whether the choice has a request that no frame of the page has carried out; now one will.
-
-        So a request waits for the page's first frame, and a reconnected frame does not repeat it.
-        """
-        asked = choice.asked if isinstance(choice, ReplayChoice) else 0
-        heard, self.heard[page] = self.heard.get(page, 0), asked
-        return asked > heard
-
-    def _show(
-        self, number: int, page: str, frame: "Frame", selection: Selection, *, obey: bool
-    ) -> None:
-        if type(frame) is not frame_class(selection.choice):
-            frame.close()
-            frame = self._frame(frame.client, selection)
-            if not self._insert(number, page, frame):
-                return
-        try:
-            frame.show(selection, obey=obey)
-        except UserError as error:  # deleted or damaged meanwhile; the last picture stays
-            frame.client.add_notification("Not shown", str(error), auto_close_seconds=8)
-
     def _connected(self, client: viser.ClientHandle) -> None:
         # viser has no public attribute for a client's request; its path names the page.
         request = self.server._websock_server._live_connections[client.client_id].request
-        if request is None:  # already disconnected
-            return
-        page = request.path.strip("/")
-        selection = self.chosen.get(page, Selection(RoadChoice(), self.links.theme or "light"))
-        frame = self._frame(client, selection)
-        if not self._insert(client.client_id, page, frame):
-            return
-        selection = self.chosen.get(page, selection)  # it may have changed while this was built
-        obey = self._asks_anew(page, selection.choice)
-        self._show(client.client_id, page, frame, selection, obey=obey)
+        if request is not None:  # else it has disconnected already
+            self._show(request.path.strip("/"), [client])
 
-    def _insert(self, number: int, page: str, frame: "Frame") -> bool:
-        """Store a frame; returns False if its tab was closed while it was built (see `_left`)."""
-        self.frames[number] = (page, frame)
+    def _show(self, page: str, clients: Sequence[viser.ClientHandle]) -> None:
+        """Show a page's selection in its frames.
+
+        They carry out its request if none has yet: so a request waits for the page's first frame,
+        and a frame that connects again does not repeat it.
+        """
+        frames = [self._frame_of(client, page) for client in clients]
+        selection = self._selection(page)  # it may have changed while they were built
+        asked = getattr(selection.choice, "asked", 0)
+        obey, self.heard[page] = asked > self.heard.get(page, 0), asked
+        for frame in frames:
+            if frame is None:
+                continue
+            try:
+                frame.show(selection, obey=obey)
+            except UserError as error:  # deleted or damaged meanwhile; the last picture stays
+                frame.client.add_notification("Not shown", str(error), auto_close_seconds=8)
+
+    def _selection(self, page: str) -> Selection:
+        return self.chosen.get(page, Selection(RoadChoice(), self.links.theme or "light"))
+
+    def _frame_of(self, client: viser.ClientHandle, page: str) -> "Frame | None":
+        """A client's frame for what its page shows; None if its tab was closed while it was built
+        (see `_left`)."""
+        number, selection = client.client_id, self._selection(page)
+        held = self.frames.get(number)
+        if held is not None and type(held[1]) is frame_class(selection.choice):
+            return held[1]
+        if held is not None:
+            held[1].close()
+        frame = self._frame(client, selection)
+        self.frames[number] = page, frame
         if number in self.server.get_clients():
-            return True
+            return self._frame_of(client, page)  # the page may show another kind by now
         self.frames.pop(number, None)
-        return False
+        return None
 
     def _frame(self, client: viser.ClientHandle, selection: Selection) -> "Frame":
         kind = frame_class(selection.choice)
@@ -108,19 +113,14 @@ class SceneServer:
         self.frames.pop(client.client_id, None)
 
 
+KINDS = {RoadChoice: "road.RoadFrame", ReplayChoice: "replay.ReplayFrame",
+         StatesChoice: "states.StatesFrame"}  # fmt: skip
+
+
 def frame_class(choice: Choice) -> "type[Frame]":
     """What shows a choice; imported when a page first asks for it, since a robot needs MuJoCo."""
-    if isinstance(choice, RoadChoice):
-        from app.scenes.road_frame import RoadFrame
-
-        return RoadFrame
-    if isinstance(choice, ReplayChoice):
-        from app.scenes.replay import ReplayFrame
-
-        return ReplayFrame
-    from app.scenes.states import StatesFrame
-
-    return StatesFrame
+    module, _, name = KINDS[type(choice)].partition(".")
+    return getattr(import_module(f"app.scenes.{module}"), name)
 
 
 @contextmanager

@@ -9,14 +9,18 @@ import viser
 from numpy.typing import NDArray
 from trimesh import Trimesh, creation
 
+from app.figures.base import OCTAVES, octaves
+from app.theme import COLUMNS, Mode, on_scale
 from tom.envs import scene as geometry
 
 SEGMENTS = 20
 """number of corners of a circle around a solid"""
 RINGS = 14
 """number of circles of a capsule, from pole to pole"""
-CAR_SIZES = ((0.044, 0.026, 0.012), (0.022, 0.021, 0.010))
+CAR_SIZES = np.array([(0.044, 0.026, 0.012), (0.022, 0.021, 0.010)])
 """body and cabin: length, width, height; the road is 0.18 wide"""
+WHEELS = 0.006
+"""distance of a car from the ground"""
 
 Colour = tuple[int, int, int]
 Floats = NDArray[np.float32]
@@ -27,14 +31,19 @@ class Solids:
     """G solid parts over H frames, or over R robots and H frames; lengths in metres."""
 
     meshes: list[Trimesh]
-    position: Floats  # (..., G, 3)
-    wxyz: Floats  # (..., G, 4)
-    root: Floats  # (..., 3)
+    position: Floats  # (..., H, G, 3)
+    wxyz: Floats  # (..., H, G, 4)
+    root: Floats  # (..., H, 3)
     floor: float
 
 
-def of(model: geometry.Model, qpos: NDArray) -> Solids:
-    """A MuJoCo task's robot at joint positions (..., nq)."""
+def of(model: geometry.Model | None, qpos: NDArray) -> Solids:
+    """A MuJoCo task's robot at joint positions (..., nq).
+
+    Without a model it is road-and-rocks' car at positions (H, 2).
+    """
+    if model is None:
+        return car(qpos)
     frames = qpos.shape[:-1]
     shapes = geometry.geometry(model.mj, qpos.reshape(-1, qpos.shape[-1]))
     meshes = [
@@ -58,30 +67,29 @@ def of(model: geometry.Model, qpos: NDArray) -> Solids:
     )
 
 
-def car(line: NDArray, above: float = 0.006) -> Solids:
-    """A car at positions (H + 1, 2) of the unit square, headed to the next position.
-
-    Its wheels are `above` the ground.
-    """
-    moves = np.diff(np.asarray(line, np.float64), axis=0)
-    heading = np.arctan2(moves[:, 1], moves[:, 0])
-    heading = np.append(heading, heading[-1:] if len(moves) else 0.0)  # the last one is kept
+def car(line: NDArray, above: float = WHEELS) -> Solids:
+    """A car at positions (..., H, 2) of the unit square, headed to where it drives next."""
+    moves = np.diff(line.astype(np.float64), axis=-2, append=line[..., -1:, :])
+    moving = np.where(moves.any(-1), np.arange(line.shape[-2]), 0)
+    last = np.maximum.accumulate(moving, -1)  # where it stands, it keeps its heading
+    heading = np.take_along_axis(np.arctan2(moves[..., 1], moves[..., 0]), last, -1)[..., None]
     zero = np.zeros_like(heading)
     wxyz = np.stack([np.cos(heading / 2), zero, zero, np.sin(heading / 2)], -1)
-    body, cabin = CAR_SIZES[0][2], CAR_SIZES[1][2]
-    height = above + np.array([body / 2, body + cabin / 2])
-    back = np.array([0.0, -0.12 * CAR_SIZES[0][0]])[None, :, None]  # the cabin sits further back
-    ahead = np.stack([np.cos(heading), np.sin(heading)], -1)[:, None]
-    flat = line[:, None] + back * ahead
-    upright = np.broadcast_to(height[:, None], (*flat.shape[:2], 1))
+    length, (body, cabin) = CAR_SIZES[0, 0], CAR_SIZES[:, 2]
+    back = np.array([0.0, -0.12 * length])  # the cabin sits further back
+    ahead = np.stack([np.cos(heading), np.sin(heading)], -1) * back[:, None]
+    height = np.array([[above + body / 2], [above + body + cabin / 2]])
+    flat = line[..., None, :] + ahead
+    upright = np.broadcast_to(height, (*flat.shape[:-1], 1))
     position = np.concatenate([flat, upright], -1).astype(np.float32)
-    return Solids(
-        [creation.box(sizes) for sizes in CAR_SIZES],
-        position,
-        np.repeat(wxyz[:, None], len(CAR_SIZES), 1).astype(np.float32),
-        position[:, 0],
-        0.0,
-    )
+    meshes = [creation.box(sizes) for sizes in CAR_SIZES]
+    wxyz = np.repeat(wxyz, len(meshes), -2).astype(np.float32)
+    return Solids(meshes, position, wxyz, position[..., 0, :], 0.0)
+
+
+def weight_colours(weight: NDArray, mode: Mode) -> NDArray[np.uint8]:
+    """The colours (..., 3) of weights (...,): blue below average, orange above."""
+    return on_scale(octaves(weight) / (2 * OCTAVES) + 0.5, COLUMNS[mode])
 
 
 def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -114,34 +122,36 @@ def copies(
 
 
 class Robot:
-    """N copies of one robot, each part one batched mesh, moved by `pose`."""
+    """R robots of one kind in a scene, each part one batched mesh, moved by `pose`."""
 
     def __init__(
         self,
         scene: viser.SceneApi,
         name: str,
-        meshes: Sequence[Trimesh],
+        solids: Solids,
         colours: Sequence[Colour],
         opacity: float | None = None,
     ) -> None:
-        """`colours` has one colour per copy."""
-        self._root = scene.add_frame(name, show_axes=False)
+        """`colours` has one colour per robot; of a single one the solids need no axis R."""
+        self.solids = solids
+        self.node = scene.add_frame(name, show_axes=False)
+        shape = (len(colours), *solids.position.shape[-3:-1])
+        self._position = solids.position.reshape(*shape, 3)
+        self._wxyz = solids.wxyz.reshape(*shape, 4)
         tint = np.reshape(np.array(colours, np.uint8), (-1, 3))
         self._parts = [
             copies(scene, f"{name}/{i}", mesh, np.zeros(tint.shape), tint, opacity=opacity)
-            for i, mesh in enumerate(meshes)
+            for i, mesh in enumerate(solids.meshes)
         ]
 
-    def pose(self, position: Floats, wxyz: Floats) -> None:
-        """Set the parts of every copy to position (N, G, 3) and orientation (N, G, 4)."""
+    @property
+    def frames(self) -> int:
+        return self._position.shape[1]
+
+    def pose(self, frame: float, shift: NDArray | float = 0.0) -> None:
+        """Show a frame, or the last one, with the robots moved by `shift`, (3,) or (R, 1, 3)."""
+        at = min(int(frame), self.frames - 1)
+        position = (self._position[:, at] + shift).astype(np.float32)
         for i, part in enumerate(self._parts):
             part.batched_positions = position[:, i]
-            part.batched_wxyzs = wxyz[:, i]
-
-    @property
-    def visible(self) -> bool:
-        return self._root.visible
-
-    @visible.setter
-    def visible(self, shown: bool) -> None:
-        self._root.visible = shown
+            part.batched_wxyzs = self._wxyz[:, at, i]

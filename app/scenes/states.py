@@ -1,19 +1,15 @@
 """Robots in heavy and light states of a replay buffer, each moving through its window of steps."""
 
-from collections.abc import Sequence
-
 import numpy as np
-import viser
 from numpy.typing import NDArray
 
 from app.data import buffer, weighings
 from app.data.buffer import WINDOW, poses, windows
-from app.figures.base import OCTAVES, octaves
 from app.scenes import solids
 from app.scenes.control import SPEEDS, StatesChoice
 from app.scenes.frame import Frame, add_words, floor
 from app.scenes.solids import Colour, Robot, Solids
-from app.theme import COLUMNS, Mode, on_scale
+from app.theme import Mode
 from tom import readable
 from tom.envs.scene import Model
 from tom.errors import UserError
@@ -32,49 +28,6 @@ MARGIN = 0.45
 SLOW = tuple(name for name, speed in SPEEDS.items() if speed <= 1)
 
 
-def places(count: int, size: NDArray, side: int) -> NDArray[np.float32]:
-    """The positions (R, 3) of the robots of a side: lines of ABREAST, away from the middle.
-
-    `side` is -1 for the left and 1 for the right; `size` (2,) is a robot's extent in x and y.
-    """
-    step = size + MARGIN
-    column, line = np.arange(count) % ABREAST, np.arange(count) // ABREAST
-    x = side * (column + 0.75) * step[0]
-    return np.stack([x, line * step[1], np.zeros(count)], -1).astype(np.float32)
-
-
-def footprint(groups: Sequence[Solids]) -> NDArray[np.float64]:
-    """The extent of nearly all robots on the ground, (2,) metres in x and y, at least 0.6."""
-    sizes = [np.ptp(one.position[:, WINDOW, :, :2], axis=1) for one in groups]
-    spans = np.concatenate(sizes) if sizes else np.zeros((1, 2))
-    return np.quantile(spans, 0.9, axis=0).clip(0.6) + 0.2
-
-
-class StatesScene:
-    """The scene nodes of two groups of robots; `pose` moves them through their windows."""
-
-    def __init__(
-        self, scene: viser.SceneApi, groups: Sequence[tuple[str, Solids, list[Colour]]], mode: Mode
-    ) -> None:
-        """`groups` are left and right: the title, the robots, a colour for each."""
-        floor(scene, groups[-1][1].floor if groups else 0.0, mode)
-        self.size = footprint([one for _, one, _ in groups])
-        self._robots: list[tuple[Robot, Solids, NDArray[np.float32]]] = []
-        for (words, one, colours), side in zip(groups, (-1, 1), strict=False):
-            at = places(len(colours), self.size, side)
-            name = "left" if side < 0 else "right"
-            self._robots.append((Robot(scene, f"/{name}", one.meshes, colours), one, at))
-            top = float(one.position[:, WINDOW, :, 2].max()) + 0.35
-            foot = (float(at[:, 0].mean()), float(at[:, 1].max()), top)
-            letters = LETTERS * float(self.size[0] + MARGIN)
-            add_words(scene, f"/{name} label", words, mode, foot, letters, TILT)
-
-    def pose(self, at: int) -> None:
-        """Show frame `at` of every window; WINDOW is the middle."""
-        for robot, one, place in self._robots:
-            robot.pose(one.position[:, at] + place[:, None], one.wxyz[:, at])
-
-
 class StatesFrame(Frame):
     """Heavy transitions on the left, light ones on the right, all of them moving."""
 
@@ -83,8 +36,7 @@ class StatesFrame(Frame):
     fill = 1.5
 
     def _build_panel(self) -> None:
-        self._scene: StatesScene | None = None
-        self._choice: StatesChoice | None = None
+        self._robots: list[tuple[Robot, NDArray]] = []
         self._env, self._dt = "", 0.01
         self._at = float(WINDOW)
         gui = self.client.gui
@@ -95,39 +47,61 @@ class StatesFrame(Frame):
         self.on_scrub(self.offset, lambda offset: self._pose(offset + WINDOW))
 
     def _show(self, choice: StatesChoice, *, obey: bool) -> None:
-        if choice == self._choice:
+        if choice == self._drawn:
             return
         run = reader_of(str(self.store.path), choice.run)
         model = scene_of(run)
         if model is None:
             raise UserError(f"nothing to draw of {run.env}: its states are curves on the page")
         groups = _groups(run, choice, model, self.mode)
+        # The extent of nearly all robots on the ground, in x and y, with what keeps them apart.
+        spans = [np.ptp(one.position[:, WINDOW, :, :2], axis=1) for _, one, _ in groups]
+        size = np.quantile(np.concatenate(spans or [np.zeros((1, 2))]), 0.9, axis=0)
+        size = size.clip(0.6) + 0.2 + MARGIN
+        height = groups[-1][1].floor if groups else 0.0
         with self.client.atomic():
             self.clear()
-            self._scene = StatesScene(self.client.scene, groups, self.mode)
+            floor(self.client.scene, height, self.mode)
+            self._robots = [
+                self._group(*group, side, size)
+                for group, side in zip(groups, (-1, 1), strict=False)
+            ]
             self._pose(self._at)
         if run.env != self._env:
             self._env, self._dt = run.env, model.dt
-            height = groups[-1][1].floor if groups else 0.0
-            width, depth = 3.6 * (self._scene.size + MARGIN)
+            width, depth = 3.6 * size
             away = 0.5 * width + 0.4
             self.look((0.1, -away, height + 1.0 + 0.35 * away), (0.1, 0.3 * depth, height + 0.5))
-        self._choice = choice
+        self._drawn = choice
 
-    def _mode_changed(self) -> None:
-        self._choice = None
+    def _group(
+        self, words: str, robots: Solids, colours: list[Colour], side: int, size: NDArray
+    ) -> tuple[Robot, NDArray]:
+        """The robots of a side, -1 for the left and 1 for the right, and their places (R, 1, 3).
+
+        They stand in lines of ABREAST, away from the middle, `size` (2,) apart.
+        """
+        number = np.arange(len(colours))
+        x, y = side * (number % ABREAST + 0.75) * size[0], number // ABREAST * size[1]
+        name = "left" if side < 0 else "right"
+        top = float(robots.position[:, WINDOW, :, 2].max()) + 0.35
+        foot = (float(x.mean()), float(y.max()), top)
+        letters, scene = LETTERS * float(size[0]), self.client.scene
+        add_words(scene, f"/{name} label", words, self.mode, foot, letters, TILT)
+        place = np.stack([x, y, np.zeros(len(x))], -1)[:, None]
+        return Robot(scene, f"/{name}", robots, colours), place
 
     def _tick(self, seconds: float) -> None:
-        if self.play.value and self._scene is not None:
+        if self.play.value and self._robots:
             step = seconds * SPEEDS[self.speed.value] / self._dt
             self._pose((self._at + step) % (2 * WINDOW + 1))
             self.offset.value = int(self._at) - WINDOW
 
     def _pose(self, at: float) -> None:
         self._at = at
-        if self._scene is not None:
-            with self.client.atomic():
-                self._scene.pose(int(at))
+        with self.client.atomic():
+            for robot, place in self._robots:
+                robot.pose(at, place)
 
 
 def reader_of(store: str, name: str) -> RunReader:
@@ -144,17 +118,14 @@ def _groups(
     """The title, the robots and their colours of each group that has rows."""
     recorded, _, state, _ = buffer.recorded(run)
     ended = recorded.ended()
-    if max((*choice.heavy, *choice.light), default=0) >= len(ended):
+    if max((row for _, rows, _ in choice.groups for row in rows), default=0) >= len(ended):
         raise UserError("these transitions are no longer in the run's record")
     groups = []
-    for words, rows, weights in (
-        (choice.titles[0], choice.heavy, choice.heavy_weights),
-        (choice.titles[1], choice.light, choice.light_weights),
-    ):
+    for words, rows, weights in choice.groups:
         if rows:
             qpos = poses(task_of(run), recorded, state, windows(ended, rows))
             ends = dict.fromkeys(readable.short(weight) for weight in (min(weights), max(weights)))
-            share = octaves(np.array(weights, np.float64)) / (2 * OCTAVES) + 0.5
-            colours = [(int(r), int(g), int(b)) for r, g, b in on_scale(share, COLUMNS[mode])]
+            tints = solids.weight_colours(np.array(weights, np.float64), mode)
+            colours = [(int(r), int(g), int(b)) for r, g, b in tints]
             groups.append((f"{words}: weight {' to '.join(ends)}", solids.of(model, qpos), colours))
     return groups

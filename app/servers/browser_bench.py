@@ -17,8 +17,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from app.router import VIEWS
-from app.scenes.film import cinema
-from app.scenes.film.story import story
+from app.scenes.film import cinema, story
 from app.servers.browser import DRAWN, chromium
 from app.servers.cinema import opened, video
 from tom.machine import processes

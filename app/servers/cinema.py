@@ -13,8 +13,7 @@ from PIL import Image
 
 from app.data import readers
 from app.parts import widgets
-from app.scenes.film import HEIGHT, SECONDS, WIDTH, cinema
-from app.scenes.film.story import may_be_told, story
+from app.scenes.film import HEIGHT, SECONDS, WIDTH, cinema, may_be_told, story
 from app.servers.browser import animation, chromium, scaled
 from app.theme import Mode
 from tom.cli.output import ProgressReport
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 SHORT_S, SHORT_RATE, SHORT_WIDTH = 14, 8, 800
-"""of the moving picture"""
+"""of the small moving picture: seconds, pictures a second, pixels"""
 QUALITIES = (60, 45, 30, 18)
 
 _FILM = """async (length) => {
@@ -44,28 +43,34 @@ _PICTURE = """(seconds) => {
 
 
 def export(
-    store: Path, run_id: str, folder: Path, mode: Mode = "light", seconds: float = SECONDS
+    store: Path, run_id: str | None, folder: Path, mode: Mode = "light", seconds: float = SECONDS
 ) -> int:
     """Write `cinema.html`, `cinema.mp4` and `cinema.webp` of a run into `folder`. Returns 0.
 
-    Raises UserError for a run without a story, and if the browser is missing.
+    Without a run it is the first that weighs. Raises UserError without a story, or a browser.
     """
-    run = next((r for r in readers.listing(str(store)).runs if r.run_id == run_id), None)
-    if run is None:
+    runs = [run for run in readers.listing(str(store)).runs if run_id in (None, run.run_id)]
+    told = [run for run in runs if may_be_told(run)]
+    if not runs and run_id:
         raise UserError(f"no run '{run_id}' in {store}: name one of `tom runs list`")
-    if not may_be_told(run):
-        raise UserError(f"run '{run_id}' has no story: it needs model fits and its buffer")
+    if not told:
+        which = f"run '{run_id}'" if run_id else f"a run in {store}"
+        raise UserError(f"no story of {which}: it needs model fits and its buffer")
+    run = min(told, key=widgets.telling)
     page = cinema(story(run), run.learner, mode, seconds)
     with opened(page) as tab:
         with ProgressReport("seconds of the film", round(seconds), sys.stderr) as bar:
             film = video(tab, seconds, lambda share: bar.step())
-        short = moving_picture(tab, seconds)
+        count, frames = SHORT_S * SHORT_RATE, []
+        for i in range(count):
+            content = base64.b64decode(tab.evaluate(_PICTURE, seconds * i / (count - 1)))
+            frames.append(scaled(Image.open(io.BytesIO(content)), SHORT_WIDTH))
+    short = animation(frames, [SHORT_WIDTH], QUALITIES, (1000 // SHORT_RATE, 2500))
     folder.mkdir(parents=True, exist_ok=True)  # all of it is made, or none
     for name, content in (("html", page.encode()), ("mp4", film), ("webp", short)):
-        replace(
-            folder / f"cinema.{name}", lambda file, content=content: file.write(content), sync=False
-        )
-        print(folder / f"cinema.{name}", flush=True)
+        path = folder / f"cinema.{name}"
+        replace(path, lambda file, content=content: file.write(content), sync=False)
+        print(path, flush=True)
     return 0
 
 
@@ -85,21 +90,3 @@ def video(tab: "Page", length: float, drawn: Callable[[float], None] = lambda sh
     """The whole film as an MP4 of `length` seconds; `drawn` is called with the share done."""
     tab.expose_function("drawn", drawn)
     return base64.b64decode(tab.evaluate(_FILM, length))
-
-
-def moving_picture(tab: "Page", seconds: float) -> bytes:
-    """The film in SHORT_S seconds as a WebP. Raises UserError if it would be too large."""
-    count = SHORT_S * SHORT_RATE
-    frames = []
-    for i in range(count):
-        content = base64.b64decode(tab.evaluate(_PICTURE, seconds * i / (count - 1)))
-        frames.append(scaled(Image.open(io.BytesIO(content)), SHORT_WIDTH))
-    return animation(frames, [SHORT_WIDTH], QUALITIES, (1000 // SHORT_RATE, 2500))
-
-
-def most_telling(store: Path) -> str:
-    """The default run for the cinema. Raises UserError if no run has a story."""
-    told = [run for run in readers.listing(str(store)).runs if may_be_told(run)]
-    if not told:
-        raise UserError(f"no run in {store} has a story: it needs model fits and its buffer")
-    return min(told, key=widgets.telling).run_id

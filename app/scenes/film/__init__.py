@@ -1,31 +1,43 @@
 """Films of a run as HTML files whose Content-Security-Policy forbids any request.
 
-The cinema tells a run's story on one timeline; another film has an episode between two predictions.
+The cinema tells a run's story on one timeline: weights, buffer, returns and robots. Another film
+has an episode between two predictions. Both are plain data for a canvas.
 """
 
+import base64
 import html
 import json
-from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
+from app.data import buffer, readers
+from app.data.buffer import WINDOW, poses, windows
+from app.data.called import names
 from app.figures.base import OCTAVES
-from app.scenes.film.story import travelling
 from app.theme import (
     BACKGROUND,
     BORDER,
     COLUMNS,
     DIVERGING,
-    NEUTRAL,
+    REAL,
     SURFACE,
     TEXT,
     Mode,
     learner_colour,
 )
-from tom.envs import Task
+from tom.analysis import planes
+from tom.analysis.curves import curve_points
+from tom.data.transitions import Transitions
+from tom.envs import ROAD, Task
+from tom.envs import scene as geometry
 from tom.envs.scene import Model
+from tom.errors import UserError
+from tom.record.reader import RunReader
+from tom.record.task_record import scene_of, task_of
+from tom.spread import spread
 
 SECONDS = 60.0
 WIDTH, HEIGHT = 1280, 720
@@ -33,58 +45,177 @@ SPEED = 0.25
 APART = 0.75
 """metres between two robots"""
 AS_IT_IS = "x1"
-_HERE = Path(__file__).parent
+FITS = 240
+"""maximum number of fits: four per second of a minute"""
+POINTS, ROBOTS = 2500, 56
+"""of the buffer"""
+EVERY = 2
+"""steps from one frame of a moment or an evaluation to the next"""
+EPISODES, FRAMES = 12, 150
+"""maximum number of shown evaluations, and of frames of each"""
+MOST = 32_767
+"""millimetres; the largest number of 16 bits"""
 _NOTHING = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
 """the Content-Security-Policy: no external resources"""
-_MODES: tuple[Mode, ...] = ("light", "dark")
+
+
+def story(run: RunReader) -> dict[str, Any]:
+    """The data of the cinema, ready for JSON. Raises UserError if a part is missing."""
+    profiles = readers.profiles(run)
+    if len(profiles.env_step) < 2:
+        raise UserError("a story needs two model fits at least, and this run has kept fewer")
+    recorded, _, state, _ = buffer.recorded(run)
+    if run.env == ROAD:
+        raise UserError("road-and-rocks has a story of its own: the page Road and rocks plays it")
+    if not len(recorded):
+        raise UserError("its buffer is not there: no robots and no map of the buffer can be drawn")
+    known, model = task_of(run), scene_of(run)
+    if model is None:
+        raise UserError(f"there is no robot to draw in {run.env}")
+    fits = spread(len(profiles.env_step), FITS)
+    rows = recorded[: int(profiles.env_step[-1])]
+    step, value = curve_points(readers.metrics(run), "eval/return")
+    return {
+        "title": names([run])[run.run_id],
+        "steps": profiles.env_step[fits].tolist(),
+        "count": profiles.count[fits].tolist(),
+        "ess": np.round(profiles.ess[fits], 4).tolist(),
+        "bins": profiles.bins.shape[1],
+        "weights": packed(np.log2(np.maximum(profiles.bins[fits], 2.0**-9)).astype(np.float32)),
+        "returns": {"step": np.asarray(step).tolist(), "value": np.round(value, 2).tolist()},
+        "cloud": _cloud(rows),
+        "crowd": _crowd(known, model, rows, state),
+        "policy": _policy(known, model, readers.reader(run)),
+        "dt": model.dt,
+    }
+
+
+def may_be_told(run: RunReader) -> bool:
+    """Whether the run has the parts of a story, as far as is known without reading them."""
+    return run.env != ROAD and readers.has_profiles(run) and buffer.has_rows(run)
+
+
+def _cloud(rows: Transitions) -> dict[str, Any]:
+    """Evenly chosen transitions of the buffer, on its two principal components in [0, 1]."""
+    obs, action = (range(np.shape(part)[1]) for part in (rows.obs, rows.action))
+    plane = planes.principal_of(rows, ([str(i) for i in obs], [str(i) for i in action]))
+    x, y = planes.of_rows(plane, rows).T
+    index = spread(len(rows), POINTS)
+
+    def unit(x: NDArray) -> NDArray[np.float32]:
+        low, high = np.quantile(x, [0.003, 0.997])
+        return np.clip((x[index] - low) / max(high - low, 1e-9), 0, 1).astype(np.float32)
+
+    return {"row": packed(index.astype(np.int32)), "x": packed(unit(x)), "y": packed(unit(y))}
+
+
+def _crowd(
+    known: Task, model: Model, rows: Transitions, state: dict[str, NDArray]
+) -> dict[str, Any]:
+    """Robots in evenly chosen states of the buffer, each moving through its window of steps."""
+    index = spread(len(rows), ROBOTS)
+    state = {name: of[: len(rows)] for name, of in state.items()}
+    qpos = poses(known, rows, state, windows(rows.ended(), index.tolist()))[:, ::EVERY]
+    return {
+        "row": index.tolist(),
+        "frames": qpos.shape[1],
+        "now": WINDOW // EVERY,
+        "every": EVERY,
+        **body(model, qpos.reshape(-1, qpos.shape[-1])),
+    }
+
+
+def _policy(known: Task, model: Model, reader: RunReader) -> list[dict[str, Any]]:
+    """Evaluation episodes during the run, which show the progress of the policy."""
+    kept = np.array(reader.evaluation_steps(), np.int64)
+    told = []
+    for step in kept[spread(len(kept), EPISODES)].tolist():
+        episodes = [e for e in reader.episodes(step) if e.qpos is not None and e.length]
+        if not episodes:
+            continue
+        returns = [e.undiscounted_return for e in episodes]
+        middle = episodes[int(np.argsort(returns)[len(returns) // 2])]
+        assert middle.qpos is not None
+        about = {"step": step, "return": round(middle.undiscounted_return, 1), "every": EVERY}
+        qpos = middle.qpos[: EVERY * FRAMES : EVERY]
+        told.append(about | travelling(known, model, qpos))
+    return told
+
+
+def body(model: Model, qpos: NDArray) -> dict[str, Any]:
+    """A MuJoCo task's robot at joint positions (H, nq), as JSON; the floor is at height 0.
+
+    G parts have a radius (G,) and ends (H, G, 2, 3); those of a sphere coincide.
+    """
+    shapes = geometry.geometry(model.mj, qpos)
+    capsules, round_ = shapes.capsules, shapes.ellipsoids
+    half = capsules.axis * capsules.size[:, 1:2]
+    ends = np.stack([capsules.center - half, capsules.center + half], 2)
+    ends = np.concatenate([ends, np.repeat(round_.center[:, :, None], 2, 2)], 1)
+    radius = np.concatenate([capsules.size[:, 0], round_.size.mean(1)])
+    lowest = float((ends[..., 2] - radius[:, None]).min()) if ends.size else 0.0
+    ends[..., 2] -= lowest if shapes.floor is None else shapes.floor
+    return {
+        "radius": _millimetres(radius).tolist(),
+        "shape": list(ends.shape[:2]),
+        "ends": packed(_millimetres(ends)),
+    }
+
+
+def travelling(known: Task, model: Model, qpos: NDArray) -> dict[str, Any]:
+    """A robot over the origin, and how far it is from there in each frame, metres."""
+    roots = known.root_dims or 0
+    place, standing = qpos[:, 0] * bool(roots), qpos.copy()
+    standing[:, :roots] = 0
+    return {"place": np.round(place, 3).tolist(), **body(model, standing)}
+
+
+def packed(numbers: NDArray) -> str:
+    """Numbers as base64, little-endian, with their own bit width."""
+    little = numbers.astype(numbers.dtype.newbyteorder("<"), copy=False)
+    return base64.b64encode(np.ascontiguousarray(little).tobytes()).decode()
+
+
+def _millimetres(metres: NDArray) -> NDArray[np.int16]:
+    return np.clip(np.round(1000 * metres), -MOST, MOST).astype(np.int16)
 
 
 def cinema(story: dict[str, Any], learner: str, mode: Mode, seconds: float = SECONDS) -> str:
-    """The page that plays a story (`app.scenes.film.story`) in `seconds`."""
-    told = {**story, "seconds": seconds, "mode": mode, "look": look(learner)}
-    return document(story["title"], "cinema.js", told, mode)
+    """The page that plays a story (of `story`) in `seconds`."""
+    return document(story["title"], "cinema.js", {**story, "seconds": seconds}, learner, mode)
 
 
-def document(title: str, script: str, told: dict[str, Any], mode: Mode) -> str:
+def document(title: str, script: str, told: dict[str, Any], learner: str, mode: Mode) -> str:
     """One self-contained HTML page: the canvas, its controls, the scripts and their data."""
+    look = {
+        "background": BACKGROUND[mode],
+        "surface": SURFACE[mode],
+        "text": TEXT[mode],
+        "border": BORDER[mode],
+        "learner": learner_colour(learner),
+        "map": DIVERGING[mode],
+        "points": COLUMNS[mode],
+        "octaves": OCTAVES,
+    }
+    told = {**told, "mode": mode, "look": look}
+    style, *scripts = (
+        Path(__file__).with_name(name).read_text()
+        for name in ("film.css", "canvas.js", "mp4.js", script)
+    )
     # Escape characters that would end a script element or begin a comment in it.
     data = json.dumps(told, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    scripts = "\n".join(_asset(name) for name in ("canvas.js", "mp4.js", script))
     return (
         f'<!doctype html><html lang="en" data-mode="{mode}"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{_NOTHING}">'
         '<meta name="viewport" content="width=device-width">'
-        f"<title>{html.escape(title)}</title><style>{_asset('film.css')}</style></head><body>"
+        f"<title>{html.escape(title)}</title><style>{style}</style></head><body>"
         f'<canvas width="{WIDTH}" height="{HEIGHT}" role="img" '
         f'aria-label="{html.escape(title)}"></canvas>'
         '<div class="controls"><button type="button" aria-label="play or pause">▶</button>'
         '<input type="range" min="0" max="1" step="any" value="0" aria-label="time">'
         '<button type="button" class="save" hidden title="save the film as MP4">MP4</button></div>'
-        f"<script>const TOLD = {data};\n{scripts}</script></body></html>"
+        "<script>" + "\n".join((f"const TOLD = {data};", *scripts)) + "</script></body></html>"
     )
-
-
-def look(learner: str) -> dict[str, Any]:
-    """The studio's colours for both modes."""
-    return {
-        mode: {
-            "background": BACKGROUND[mode],
-            "surface": SURFACE[mode],
-            "text": TEXT[mode],
-            "border": BORDER[mode],
-            "neutral": NEUTRAL,
-            "learner": learner_colour(learner),
-            "map": DIVERGING[mode],
-            "points": COLUMNS[mode],
-            "octaves": OCTAVES,
-        }
-        for mode in _MODES
-    }
-
-
-@cache
-def _asset(name: str) -> str:
-    return (_HERE / name).read_text()
 
 
 def ghosts(
@@ -101,17 +232,13 @@ def ghosts(
     the brushed model.
     """
     robots = [
-        _robot(drawn, kept["real"], "real", "#5b6577" if mode == "light" else "#aeb7c8", 0.0, 1.0),
-        _robot(drawn, kept[AS_IT_IS], "as it is", COLUMNS[mode][0][1], -APART, 0.8),
-        _robot(drawn, kept[f"x{factor:g}"], name, COLUMNS[mode][2][1], APART, 0.8),
+        {"name": called, "colour": colour, "shift": shift, "alpha": alpha}
+        | travelling(*drawn, kept[which])
+        for which, called, colour, shift, alpha in (
+            ("real", "real", REAL[mode], 0.0, 1.0),
+            (AS_IT_IS, "as it is", COLUMNS[mode][0][1], -APART, 0.8),
+            (f"x{factor:g}", name, COLUMNS[mode][2][1], APART, 0.8),
+        )
     ]
-    told = {"mode": mode, "look": look(learner), "robots": robots, "speed": SPEED}
-    told |= {"dt": float(kept["dt"]), "octaves": OCTAVES}
-    return document(f"Two ghosts: as it is, and {name}", "ghosts.js", told, mode)
-
-
-def _robot(
-    drawn: tuple[Task, Model], qpos: NDArray, name: str, colour: str, shift: float, alpha: float
-) -> dict[str, Any]:
-    style = {"name": name, "colour": colour, "shift": shift, "alpha": alpha}
-    return style | travelling(*drawn, qpos)
+    told = {"robots": robots, "speed": SPEED, "dt": float(kept["dt"])}
+    return document(f"Two ghosts: as it is, and {name}", "ghosts.js", told, learner, mode)

@@ -1,6 +1,6 @@
 // Attention cinema: one timeline moves the robots, the weight map, the returns and the buffer.
 
-const LOOK = TOLD.look[TOLD.mode];
+const LOOK = TOLD.look;
 const DARK = TOLD.mode === "dark";
 const CANVAS = document.querySelector("canvas");
 const CTX = CANVAS.getContext("2d");

@@ -1,6 +1,6 @@
 // Two ghosts beside an episode as it was: the model by the weights as they are, and by brushed ones.
 
-const LOOK = TOLD.look[TOLD.mode];
+const LOOK = TOLD.look;
 const DARK = TOLD.mode === "dark";
 const CANVAS = document.querySelector("canvas");
 const CTX = CANVAS.getContext("2d");

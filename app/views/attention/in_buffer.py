@@ -237,20 +237,20 @@ def _scenes(
         left, right, titles = [row], near.tolist()[:SHOWN], ("the row", "its nearest")
         words = "the row on the left, its nearest on the right"
     st.markdown(f"**The scenes themselves**: {words}")
-    choice = StatesChoice(
-        run.run_id,
-        tuple(rows.first + at for at in left),
-        tuple(rows.first + at for at in right),
-        tuple(round(float(rows.weight[at]), 4) for at in left),
-        tuple(round(float(rows.weight[at]), 4) for at in right),
-        titles,
+    groups = tuple(
+        (
+            title,
+            tuple(rows.first + at for at in side),
+            tuple(round(float(rows.weight[at]), 4) for at in side),
+        )
+        for title, side in zip(titles, (left, right), strict=True)
     )
     if buffer.drawn(run):
-        widgets.stage(choice, STAGE_HEIGHT, compact=True)
+        widgets.stage(StatesChoice(run.run_id, groups), STAGE_HEIGHT, compact=True)
         st.caption("A click on the panel's title opens it: there the moments can be played.")
         return
-    curves = buffer.moments(run, choice.heavy), buffer.moments(run, choice.light)
-    figure = moments_figure(*curves, buffer.described(run), MOMENT_HEIGHT, run.run_id)
+    heavy, light = (buffer.moments(run, numbers) for _, numbers, _ in groups)
+    figure = moments_figure(heavy, light, buffer.described(run), MOMENT_HEIGHT, run.run_id)
     chart(figure, "moments", "observations round the heaviest and the lightest transitions")
     st.caption(
         "There is no robot to draw. Every line is a moment: the transition at 0, and the steps of "

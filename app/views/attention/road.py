@@ -110,7 +110,7 @@ def _export(runs: Sequence[RunReader], called: list[str]) -> None:
     mode = session.mode()
 
     def page_of_it() -> str:
-        from app.scenes.road_frame import as_html  # here: viser and trimesh take 0.7 s to import
+        from app.scenes.road import as_html  # here: viser and trimesh take 0.7 s to import
 
         steps = sorted({step for run in runs for step in road.steps(run)})
         fits = [[_fit(run, step) for run in runs] for step in steps]

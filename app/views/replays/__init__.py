@@ -16,8 +16,7 @@ from app.parts.plot import chart
 from app.parts.scope import Scope
 from app.parts.widgets import EVALUATIONS
 from app.scenes.control import ReplayChoice
-from app.scenes.film import SECONDS, cinema
-from app.scenes.film.story import may_be_told, story
+from app.scenes.film import SECONDS, cinema, may_be_told, story
 from app.views.replays import episode
 from tom.errors import UserError
 from tom.record.reader import RunReader

@@ -11,8 +11,7 @@ from studio_pages import Show, draw
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import readers
-from app.scenes.film import cinema, ghosts
-from app.scenes.film.story import body, may_be_told, story
+from app.scenes.film import body, cinema, ghosts, may_be_told, story
 from app.servers.cinema import opened, video
 from tom.envs import task
 from tom.envs.scene import model

@@ -104,14 +104,14 @@ class LeftWhileBuilt(SceneServer):
 
 def test_a_page_plays_pauses_and_asks_where_its_episode_is(served: SceneServer) -> None:
     def wish(asked: int, wish: Wish, frame: int) -> Selection:
-        return Selection(ReplayChoice(PENDULUM_TOM, 400, 0, frame, 0, asked=asked, wish=wish))
+        return Selection(ReplayChoice(PENDULUM_TOM, 400, 0, frame, 25, asked=asked, wish=wish))
 
     assert served.clock(PAGE) is None
     served.select(PAGE, wish(0, "go", 3))
     with frame_of_a_page(served):
         wait_for(lambda: served.clock(PAGE) == Clock(3, playing=False))
         served.select(PAGE, wish(1, "play", 3))
-        served.tick(2 * only_frame(served)._drawn[0].dt)  # pyright: ignore[reportOptionalMemberAccess, reportOptionalSubscript]
+        served.tick(2 * only_frame(served)._replay.dt)  # pyright: ignore[reportOptionalMemberAccess]
         assert served.clock(PAGE) == Clock(5, playing=True, asked=1)
         served.select(PAGE, wish(2, "pause", 5))
         assert served.clock(PAGE) == Clock(5, playing=False, asked=2)

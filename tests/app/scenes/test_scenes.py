@@ -30,8 +30,7 @@ from app.scenes.control import (
     listen,
     tell,
 )
-from app.scenes.road import RoadScene
-from app.scenes.road_frame import FRAME_S, LAYERS, REST_S, STRIDE, as_html
+from app.scenes.road import FRAME_S, LAYERS, REST_S, STRIDE, RoadScene, as_html
 from tom.machine.address import free_port
 from tom.record.reader import RunReader
 
@@ -59,13 +58,15 @@ def test_a_cell_with_weight_is_a_column(picture: road.Picture) -> None:
     assert on_road(position[tall, :2], picture.road).mean() > 0.9
 
 
-def test_height_and_colour_grow_with_the_weight() -> None:
+def test_height_and_colour_grow_with_the_weight_and_an_empty_cell_is_clear() -> None:
     grid = np.full((CELLS, CELLS), np.nan)
     grid[0, :4] = [0.01, 1, 4, 100]
     _, scale, colour = scene.columns(grid, "light")
-    assert len(scale) == 3
     assert scale[:, 2] == pytest.approx(scene.TALLEST * np.array([0.25, 0.5, 1]))
     assert colour[2].tolist() == [194, 44, 6]
+    flat = scene.cells(grid, "light")
+    assert flat[0, 3].tolist() == [194, 44, 6, 235]
+    assert flat[..., 3].sum() == 4 * 235
 
 
 def test_stones_lie_beside_the_road(picture: road.Picture) -> None:
@@ -93,7 +94,7 @@ def server() -> Iterator[viser.ViserServer]:
 def test_a_fit_takes_the_place_of_another(
     server: viser.ViserServer, picture: road.Picture, store: Path
 ) -> None:
-    drawn = RoadScene(server.scene, picture, "light")
+    drawn = RoadScene(server.scene, picture, "light", 0, "TOM")
     before = drawn.layers["columns"][0]
     other = road.picture(RunReader(store / ROAD_MLE), 60)
     assert other is not None
@@ -103,18 +104,13 @@ def test_a_fit_takes_the_place_of_another(
     drawn.show({"columns": False, "flat": True, "cars": False})
     assert not drawn.layers["columns"][0].visible
     assert drawn.layers["flat"][0].visible
-    assert not any(fleet.visible for fleet in drawn.cars)
+    assert not any(car.node.visible for car in drawn.cars)
 
 
-def test_one_map_is_seen_as_the_camera_of_all_scenes_has_it() -> None:
-    camera, at = scene.view(1, FOV)
-    assert camera == pytest.approx(scene.CAMERA)
-    assert at == pytest.approx(scene.LOOK_AT)
-
-
-@pytest.mark.parametrize("aspect", [0.6, 1.0, 16 / 9, 3.0])
-@pytest.mark.parametrize("count", [1, 2, 3, 4])
+@pytest.mark.parametrize("aspect", [0.6, 16 / 9, 3.0])
+@pytest.mark.parametrize("count", [1, 2, 4])
 def test_every_map_is_in_the_picture_however_wide_it_is(count: int, aspect: float) -> None:
+    assert np.ravel(scene.view(1, FOV)) == pytest.approx([*scene.CAMERA, *scene.LOOK_AT])
     camera, at = map(np.array, scene.view(count, FOV, aspect))
     assert camera[0] == at[0] == pytest.approx((scene.place(count - 1) + 1) / 2)
     ahead = (at - camera) / np.linalg.norm(at - camera)
@@ -127,18 +123,10 @@ def test_every_map_is_in_the_picture_however_wide_it_is(count: int, aspect: floa
             assert abs(seen @ up) < half
 
 
-def test_the_flat_picture_is_clear_where_nothing_was_recorded() -> None:
-    grid = np.full((CELLS, CELLS), np.nan)
-    grid[0, 3] = 100
-    flat = scene.cells(grid, "light")
-    assert flat[0, 3].tolist() == [194, 44, 6, 235]
-    assert flat[..., 3].sum() == 235
-
-
 def test_the_export_is_one_page_with_every_fit(picture: road.Picture, store: Path) -> None:
     other = road.picture(RunReader(store / ROAD_MLE), 60)
     assert other is not None
-    page = as_html([[picture, other], [picture, other]], "dark")
+    page = as_html([[picture, other], [picture, other]], "dark", ["TOM", "MLE"])
     data = re.search(r'__VISER_EMBED_DATA__="([^"]+)"', page)
     assert data is not None
     packed_scene = base64.b64decode(data[1])
@@ -176,7 +164,7 @@ def told(tmp_path: Path) -> tuple[str, queue.Queue[tuple[str, Selection]]]:
     [
         RoadChoice((ROAD_TOM,), 60),
         ReplayChoice("a", 1, 2, 3, 4, wish="play"),
-        StatesChoice("a", (1, 2), (), (2.5, 3.0), ()),
+        StatesChoice("a", (("heaviest", (1, 2), (2.5, 3.0)), ("lightest", (), ()))),
     ],
 )
 def test_a_page_reaches_the_scene_server(choice: Choice, told) -> None:

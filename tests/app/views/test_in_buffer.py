@@ -76,8 +76,9 @@ def test_the_robots_are_those_of_the_timelines_fit(store: Path, tmp_path: Path, 
         weight = RunReader(store / PENDULUM_TOM).snapshot(fit)["weight"].to_numpy()
         choice = told.get(timeout=20).choice
         assert isinstance(choice, control.StatesChoice)
-        assert choice.heavy_weights == pytest.approx(weight[list(choice.heavy)], abs=1e-4)
-        assert choice.heavy_weights[0] == pytest.approx(weight.max(), abs=1e-4)
+        (_, heavy, weights), _ = choice.groups
+        assert weights == pytest.approx(weight[list(heavy)], abs=1e-4)
+        assert weights[0] == pytest.approx(weight.max(), abs=1e-4)
 
 
 def test_picks_keep_their_distance(rows: Rows) -> None:

@@ -16,7 +16,6 @@ from studio_runs import PENDULUM_TOM, info, undescribed
 
 from app.data import buffer, replays
 from app.scenes import solids
-from app.scenes.replay import track
 from tom.record import Store, layout
 from tom.record.reader import RunReader
 from tom.record.task_record import scene_of, task_of
@@ -61,7 +60,7 @@ def test_a_robot_is_drawn_from_the_run_folder_alone(shown: Path, run_id: str):
     assert replay.drawn
     assert replay.imagined is not None
     assert (replay.ghost is not None) == run_id.endswith("Swimmer-v5")
-    driven = track(replay.model, replay.real)
+    driven = solids.of(replay.model, replay.real)
     assert np.isfinite(driven.position).all()
     assert np.ptp(driven.position, axis=0).max() > 1e-3  # it moves
     app = draw("replays", run=run_id)

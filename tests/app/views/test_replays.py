@@ -16,7 +16,6 @@ from app.data import replays
 from app.data.replays import ROAD_DT, Replay
 from app.figures.replay import error_curve
 from app.scenes import solids
-from app.scenes.replay import track
 from app.servers import viewers
 from tom.analysis.imagine import stored_model
 from tom.record.reader import RunReader
@@ -115,7 +114,7 @@ def test_road_and_rocks_is_replayed_on_its_map(store: Path) -> None:
     assert replay.ghost is not None
     _, following = stored_model(run).predictor.predict(*first_step(replay))
     assert replay.ghost[1] == pytest.approx(following[0].numpy(), abs=1e-6)
-    driven = track(replay.model, replay.real)
+    driven = solids.of(replay.model, replay.real)
     assert driven.root[:, :2] == pytest.approx(replay.real, abs=0.01)
 
 
