@@ -121,8 +121,14 @@ def length(run: RunReader) -> int:
 
 @cached("buffer")
 def recorded(run: RunReader) -> Recorded:
-    """A run's whole buffer: the only place of this process that reads it."""
-    return reader(run).recorded()
+    """A run's whole buffer, without the simulator's states and the actions' Gaussians."""
+    return reader(run).recorded(states=False, behaviour=False)
+
+
+@cached("buffer")
+def with_states(run: RunReader) -> Recorded:
+    """A run's whole buffer for a scene of its robots, without the actions' Gaussians."""
+    return reader(run).recorded(behaviour=False)
 
 
 def rows(run: RunReader, step: int) -> Rows | None:
@@ -181,7 +187,7 @@ def described(run: RunReader) -> tuple[str, ...]:
 def drawn(run: RunReader) -> bool:
     """Whether there is a robot to draw in the states of the run's buffer."""
     known = None if scene_of(run) is None else described_task(run)
-    return known is not None and (known.root_dims is not None or bool(recorded(run).state))
+    return known is not None and (known.root_dims is not None or bool(with_states(run).state))
 
 
 def has_model(run: RunReader) -> bool:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,14 +61,18 @@ class Source:
 
 def fits(run: RunReader) -> dict[str, Source]:
     """The weights of a run's own fits by their step, in order; those it lacks rows of left out."""
-    length, found = buffer.length(run), {}
-    for step in run.snapshot_steps():
-        weight = buffer.fit_weight(run, step)
-        end = length if run.env == ROAD else profiles(run).rows_at(step)
-        if 0 < len(weight) <= end <= length:
-            version = run.version("snapshot", step), run.has_policy(step)
-            found[str(step)] = Source(str(step), weight, end, version, run.learner)
-    return found
+    length = buffer.length(run)
+    found = {str(step): _fit(run, step, length) for step in run.snapshot_steps()}
+    return {step: source for step, source in found.items() if source is not None}
+
+
+def _fit(run: RunReader, step: int, length: int) -> Source | None:
+    weight = buffer.fit_weight(run, step)
+    end = length if run.env == ROAD else profiles(run).rows_at(step)
+    if not 0 < len(weight) <= end <= length:
+        return None
+    version = run.version("snapshot", step), run.has_policy(step)
+    return Source(str(step), weight, end, version, run.learner)
 
 
 def others(run: RunReader) -> dict[str, Source]:
@@ -129,19 +134,19 @@ def named(run: RunReader) -> planes.Names:
 class Placed:
     """A plane and the place of every recorded row on it."""
 
-    key: str
     names: tuple[str, str]
     xy: NDArray[np.float32]  # (N, 2)
+    axes: tuple[Column, Column]
+    """the axes as quantities, over all their values"""
+    codes: tuple[columns.Codes, columns.Codes]
+    """(N,) each"""
 
-    def column(self, axis: int) -> Column:
-        """One axis as a quantity, over all its values."""
-        values = self.xy[:, axis]
-        return Column(f"{self.key} {axis}", float(values.min()), float(values.max()))
-
-    def codes(self, axis: int) -> columns.Codes:
-        """The rows' codes on an axis."""
-        column = self.column(axis)
-        return columns.encode(self.xy[:, axis], column.low, column.high)
+    @classmethod
+    def of(cls, key: str, names: tuple[str, str], xy: NDArray[np.float32]) -> Self:
+        ends = zip(xy.min(0).tolist(), xy.max(0).tolist(), strict=True)
+        x, y = (Column(f"{key} {i}", low, high) for i, (low, high) in enumerate(ends))
+        codes = (columns.encode(xy[:, i], axis.low, axis.high) for i, axis in enumerate((x, y)))
+        return cls(names, xy, (x, y), (next(codes), next(codes)))
 
 
 def placed(run: RunReader, key: str) -> Placed | None:
@@ -166,19 +171,29 @@ def _placed(run: RunReader, key: str, kind: str, of: str, source: Source | None)
         if not {x, y} <= known:
             return None
         pair = [columns.values(run, name).astype(np.float32) for name in (x, y)]
-        return Placed(key, (x, y), np.stack(pair, 1))
+        return Placed.of(key, (x, y), np.stack(pair, 1))
     if kind in (POLICY, MODEL):
         return _of_network(run, kind, key)
     if source is None:
         return None
-    whole = buffer.recorded(run).rows
-    part = whole[source.first : source.end]
-    plane = (
-        planes.contrast_of(part, source.weight, named(run))
-        if kind == CONTRAST
-        else planes.principal_of(part, named(run))
-    )
-    return Placed(key, plane.names, planes.of_rows(plane, whole))
+    plane = _plane(run, kind, source)
+    return Placed.of(key, plane.names, planes.of_rows(plane, buffer.recorded(run).rows))
+
+
+def _plane(run: RunReader, kind: str, source: Source) -> planes.Plane:
+    """The contrast plane, or the principal components, of the rows of these weights."""
+
+    def make() -> planes.Plane:
+        part = buffer.recorded(run).rows[source.first : source.end]
+        if kind == CONTRAST:
+            return planes.contrast_of(part, source.weight, named(run))
+        return planes.principal_of(part, named(run))
+
+    version = run.version("buffer"), source.version
+    return _PLANES.get((run.path, kind, source.label), make, version)
+
+
+_PLANES: VersionedCache[planes.Plane] = VersionedCache()
 
 
 def layers(run: RunReader) -> dict[str, str]:
@@ -206,7 +221,7 @@ def _of_network(run: RunReader, kind: str, key: str) -> Placed | None:
         return network.hidden(*(one[part] for one in given)).numpy()
 
     plane = planes.of_layer(hidden(spread(len(rows), JUDGED)))
-    return Placed(key, plane.names, planes.coordinates(plane, len(rows), hidden))
+    return Placed.of(key, plane.names, planes.coordinates(plane, len(rows), hidden))
 
 
 def _model(run: RunReader) -> NeuralDynamics | None:
@@ -218,16 +233,22 @@ def _model(run: RunReader) -> NeuralDynamics | None:
 
 
 def explained(run: RunReader, key: str, source: Source) -> float:
-    """The share of the log weights that a plane explains on held-out rows."""
-    place = placed(run, key)
-    if place is None:
-        return np.nan
-    version = run.version("buffer"), source.version
+    """The share of the log weights that a plane explains on held-out rows; NaN without a plane."""
 
     def make() -> float:
         part = spread(len(source.weight), JUDGED)
-        return planes.explained(place.xy[source.first + part], source.weight[part])
+        kind, _, of = key.partition("@")
+        fitted = sources(run).get(of) if kind in (CONTRAST, PRINCIPAL) else None
+        if fitted is not None:  # a plane that is not shown needs no more rows than these
+            rows = buffer.recorded(run).rows[source.first + part]
+            xy = planes.of_rows(_plane(run, kind, fitted), rows)
+        elif (place := placed(run, key)) is not None:
+            xy = place.xy[source.first + part]
+        else:
+            return np.nan
+        return planes.explained(xy, source.weight[part])
 
+    version = run.version("buffer"), run.version("model"), source.version
     return _EXPLAINED.get((run.path, key, source.label), make, version)
 
 
@@ -262,10 +283,9 @@ def chosen(run: RunReader, source: Source, selection: Selection) -> Mask:
             mask &= between(*found, interval)
     place = placed(run, selection.outline.plane) if selection.outline else None
     if selection.outline and place:
-        part = slice(source.first, source.end)
         x, y = (
-            columns.decode(place.codes(axis)[part], place.column(axis).low, place.column(axis).high)
-            for axis in (0, 1)
+            columns.decode(codes[source.first : source.end], axis.low, axis.high)
+            for codes, axis in zip(place.codes, place.axes, strict=True)
         )
         mask &= inside(selection.outline.corners, x, y)
     return mask
@@ -306,9 +326,9 @@ def given_plane(run: RunReader, key: str) -> dict | None:
         def make() -> columns.Codes:
             found = placed(run, key)
             assert found is not None
-            return found.codes(i)
+            return found.codes[i]
 
-        column = place.column(i)
+        column = place.axes[i]
         url = offer((run.path, version, key, i, column.low, column.high), make)
         return {"name": place.names[i], "low": column.low, "high": column.high, "url": url}
 
@@ -317,20 +337,23 @@ def given_plane(run: RunReader, key: str) -> dict | None:
 
 def given_source(run: RunReader, source: Source) -> dict:
     """What the browser needs to know of weights."""
-    weighing = source.weighing is not None
+    label, of_fit = source.label, source.weighing is None
 
     def again() -> Source:
-        return (others(run) if weighing else fits(run))[source.label]
+        found = _fit(run, int(label), buffer.length(run)) if of_fit else others(run).get(label)
+        if found is None:
+            raise UserError(f"the weights of {label} are no longer there")
+        return found
 
     def far() -> columns.Codes:
         found = distances(run, again())
-        unknown = np.full(len(source.weight), np.nan)
+        unknown = np.full(len(again().weight), np.nan)
         return _coded(unknown if found is None else found, DISTANCE)
 
-    key = run.path, source.label, source.version
+    key = run.path, label, source.version
     return {
-        "label": source.label, "first": source.first, "count": len(source.weight),
-        "step": int(source.label) if not weighing else None,
+        "label": label, "first": source.first, "count": len(source.weight),
+        "step": int(label) if of_fit else None,
         "url": offer(key, lambda: columns.weight_codes(again().weight)),
         "distance": offer((*key, DISTANCE), far) if knows_policy(run, source) else None,
     }  # fmt: skip

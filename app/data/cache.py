@@ -9,6 +9,7 @@ from functools import wraps
 from itertools import count
 from threading import RLock
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
+from weakref import WeakValueDictionary
 
 import pandas as pd
 from cachetools import LRUCache
@@ -29,10 +30,14 @@ _NUMBERS = count()
 
 
 class VersionedCache(Generic[T]):
-    """One result a key: a new version replaces the old one. Thread-safe."""
+    """One result a key: a new version replaces the old one.
+
+    Thread-safe: who asks for what another thread is making waits for it.
+    """
 
     def __init__(self) -> None:
         self._number = next(_NUMBERS)
+        self._making: WeakValueDictionary[Hashable, Any] = WeakValueDictionary()
 
     def get(self, key: Hashable, make: Callable[[], T], version: Hashable = None) -> T:
         """The result for `key`, made if it is not cached in this `version`.
@@ -41,12 +46,15 @@ class VersionedCache(Generic[T]):
         """
         place = self._number, key
         with LOCK:
-            cached = RESULTS.get(place)
-        if cached is not None and cached[0] == version:
-            return cached[1]
-        made = make()
-        with LOCK:
-            RESULTS[place] = version, made
+            making = self._making.setdefault(key, RLock())
+        with making:
+            with LOCK:
+                cached = RESULTS.get(place)
+            if cached is not None and cached[0] == version:
+                return cached[1]
+            made = make()
+            with LOCK:
+                RESULTS[place] = version, made
         return made
 
 

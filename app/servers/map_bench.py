@@ -15,7 +15,7 @@ from tom.envs import task
 from tom.events import Collected, Weights
 from tom.record.status import Status
 from tom.record.store import Store
-from tom.record.writer import RunWriter
+from tom.record.writer import SEGMENT_ROWS, RunWriter
 from tom.training.presets import resolve
 
 if TYPE_CHECKING:
@@ -77,7 +77,10 @@ STEP = """async () => {
 
 
 def make_run(store: Path, rows: int, fits: int = 3) -> str:
-    """A run of Hopper's dimensions with `rows` rows of noise, and weights that differ in it."""
+    """A run of Hopper's dimensions with `rows` rows of noise, and weights that differ in it.
+
+    Its rows are recorded in as many parts as those of a training.
+    """
     known, draw = task(ENV), np.random.default_rng(0)
     config = resolve(ENV, "tom", "smoke", {})
     writer = RunWriter.create(Store(store), f"map-{rows}", config)
@@ -85,7 +88,10 @@ def make_run(store: Path, rows: int, fits: int = 3) -> str:
     action = draw.uniform(-1, 1, (rows, known.action_dim)).astype(np.float32)
     ended = (np.arange(rows) % EPISODE == EPISODE - 1).astype(np.float32)
     recorded = Transitions(obs[:-1], action, obs[:-1, 0], obs[1:], ended * 0, ended)
-    writer.rows(Collected(0, recorded, np.arange(rows) // (rows // 100)))
+    version = np.arange(rows) // (rows // 100)
+    for first in range(0, rows, SEGMENT_ROWS):
+        part = slice(first, first + SEGMENT_ROWS)
+        writer.rows(Collected(0, recorded[part], version[part]))
     for i in range(fits):
         end = rows * (i + 1) // fits
         weight = np.exp(obs[:end, 0] + 0.5 * obs[:end, 1] * i)

@@ -35,6 +35,8 @@ from app.theme import streamlit_options
 from tom import plugins
 from tom.machine import processes
 
+KEPT = "max-age=31536000, immutable"
+"""how long a browser keeps what never changes at its address"""
 RESTART_S = 3.0
 """from the end of a 3D server to the next"""
 LARGEST_FIGURE = 20_000_000
@@ -123,13 +125,13 @@ def routes(links: Links) -> list[BaseRoute]:
         return JSONResponse({"store": links.store, "status": "ok", "launch": links.launch})
 
     def library(_: Request) -> Response:
-        return FileResponse(LIBRARY, headers={"Cache-Control": "max-age=31536000, immutable"})
+        return FileResponse(LIBRARY, headers={"Cache-Control": KEPT, **viewers.PLAIN})
 
     def array(request: Request) -> Response:
         content = arrays.content(request.path_params["name"])
         if content is None:
             return PlainTextResponse("no such array", status_code=404)
-        headers = {"Cache-Control": "private, max-age=31536000, immutable"}
+        headers = {"Cache-Control": f"private, {KEPT}", **viewers.PLAIN}
         return Response(content, media_type="application/octet-stream", headers=headers)
 
     async def figure(request: Request) -> Response:

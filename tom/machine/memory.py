@@ -10,7 +10,7 @@ from tom.errors import reason
 _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3
 MEBIBYTE = 2**20
 
-STUDIO_CACHE_BYTES = 128 * MEBIBYTE
+STUDIO_CACHE_BYTES = 192 * MEBIBYTE
 """maximum size of the cache in each of the studio's two servers"""
 
 

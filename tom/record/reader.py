@@ -271,22 +271,25 @@ class RunReader:
         recorded = self.recorded(states=False)
         return recorded.rows, recorded.version
 
-    def recorded(self, *, states: bool = True) -> Recorded:
-        """The replay buffer.
+    def recorded(self, *, states: bool = True, behaviour: bool = True) -> Recorded:
+        """The replay buffer; what is not asked for is not read, and empty.
 
         Reading ends at the first missing or damaged segment, so that the rows stay aligned with the
         weights.
         """
         parts: list[Recorded] = []
 
+        def wanted(name: str) -> bool:
+            return behaviour if name in BEHAVIOUR else states or not name.startswith(decode.STATE)
+
         def segment(path: Path) -> Recorded:
-            arrays = read_arrays(path)
+            arrays = read_arrays(path, wanted)
             rows, version = decode.transitions_of(arrays)
-            named = [name for name in arrays if states and name.startswith(decode.STATE)]
+            named = [name for name in arrays if name.startswith(decode.STATE)]
             state = {name.removeprefix(decode.STATE): arrays[name] for name in named}
-            unknown = np.full((len(rows), rows.action.shape[1]), np.nan, np.float32)
-            behaviour = [arrays.get(name, unknown) for name in BEHAVIOUR]
-            return Recorded(rows, version, state, np.concatenate(behaviour, 1, dtype=np.float32))
+            unknown = np.full((len(rows), rows.action.shape[1] * behaviour), np.nan, np.float32)
+            drawn = [arrays.get(name, unknown) for name in BEHAVIOUR]
+            return Recorded(rows, version, state, np.concatenate(drawn, 1, dtype=np.float32))
 
         self._read(layout.BUFFER, os.listdir)  # a folder that cannot be listed is no empty one
         row = 0
@@ -304,13 +307,13 @@ class RunReader:
             flat, wide = np.zeros(0, np.float32), np.zeros((0, 0), np.float32)
             rows = Transitions(wide, wide, flat, wide, flat.astype(bool), flat.astype(bool))
             return Recorded(rows, flat.astype(np.int64), {}, wide)
-        rows, version, state, behaviour = zip(*parts, strict=True)
+        rows, version, state, drawn = zip(*parts, strict=True)
         kept = set(state[0]).intersection(*state)
         return Recorded(
             Transitions.concatenate(rows),
             np.concatenate(version),
             {name: np.concatenate([part[name] for part in state]) for name in sorted(kept)},
-            np.concatenate(behaviour),
+            np.concatenate(drawn),
         )
 
     def buffer_length(self) -> int:

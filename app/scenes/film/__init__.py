@@ -64,7 +64,7 @@ def story(run: RunReader) -> dict[str, Any]:
     profiles = readers.profiles(run)
     if len(profiles.env_step) < 2:
         raise UserError("a story needs two model fits at least, and this run has kept fewer")
-    recorded, _, state, _ = buffer.recorded(run)
+    recorded, _, state, _ = buffer.with_states(run)
     if run.env == ROAD:
         raise UserError("road-and-rocks has a story of its own: the page Road and rocks plays it")
     if not len(recorded):

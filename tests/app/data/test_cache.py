@@ -1,6 +1,8 @@
 """Results are made once a version, and the ones used last are kept within a budget of bytes."""
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
 
 import numpy as np
 import pandas as pd
@@ -28,6 +30,24 @@ def test_of_what_changes_one_version_is_kept() -> None:
     assert cache.get("still", lambda: [9]) == [9]
     assert cache.get("live", lambda: [0], 2) == [2]
     assert cache.get("live", lambda: [0], 1) == [0]
+
+
+def test_what_one_thread_makes_another_waits_for() -> None:
+    cache: VersionedCache[list[int]] = VersionedCache()
+    begun, go_on = Event(), Event()
+
+    def make() -> list[int]:
+        begun.set()
+        assert go_on.wait(30)
+        return [1]
+
+    with ThreadPoolExecutor(3) as threads:
+        first = threads.submit(cache.get, "a", make)
+        assert begun.wait(30)
+        second = threads.submit(cache.get, "a", lambda: [2])
+        assert threads.submit(cache.get, "b", lambda: [3]).result(30) == [3]
+        go_on.set()
+        assert second.result(30) is first.result(30)
 
 
 def test_all_caches_share_the_bytes_and_the_oldest_goes_first() -> None:
