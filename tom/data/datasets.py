@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -109,28 +110,31 @@ def _columns_of(path: Path) -> Columns:
         with np.load(path, allow_pickle=False) as archive:
             names = archive.files
             arrays = {name: archive[name] for name in filter(_is_wanted, names)}
-        return _checked(path, arrays, names)
-    if path.suffix == ".parquet":
-        return _parquet(path)
-    if path.suffix in (".hdf5", ".h5", ".hdf"):
+    elif path.suffix == ".parquet":
+        arrays, names = _parquet(path)
+    elif path.suffix in (".hdf5", ".h5", ".hdf"):
         with h5py.File(path, "r") as file:
             names = list(map(str, file))
             arrays = {name: _stored(file, name) for name in filter(_is_wanted, names)}
-        return _checked(path, arrays, names)
-    if path.suffix in _PICKLES:
+    elif path.suffix in _PICKLES:
         raise UserError(
             f"{path} may hold pickles, which are code and are not loaded: export the transitions "
             "to .npz (for stable-baselines3: tom.integrations.sb3.export_buffer)"
         )
-    raise UserError(f"{path} is of no kind that can be read here: give {FORMATS}")
+    else:
+        raise UserError(f"{path} is of no kind that can be read here: give {FORMATS}")
+    return _checked(path, arrays, names)
 
 
 def _is_wanted(name: str) -> bool:
     return ALIASES.get(name, name) in (*AXES, VERSION, *BEHAVIOUR)
 
 
-def _parquet(path: Path) -> Columns:
-    """Vectors are lists of equal length in a column, or numbered columns: `obs_0`, `obs_1`, ..."""
+def _parquet(path: Path) -> tuple[Columns, list[str]]:
+    """The columns, and the names of all.
+
+    Vectors are lists of equal length in a column, or numbered columns: `obs_0`, `obs_1`, ...
+    """
     table, names = read_columns(path, lambda name: _is_wanted(_NUMBERED.sub(r"\1", name)))
     columns: Columns = {}
     numbered: dict[str, dict[int, NDArray]] = {}
@@ -144,7 +148,7 @@ def _parquet(path: Path) -> Columns:
         if sorted(parts) != list(range(len(parts))):
             raise UserError(f"{path}: columns {name}_... are not numbered from 0 without a gap")
         columns[name] = np.stack([parts[i] for i in range(len(parts))], 1)
-    return _checked(path, columns, names)
+    return columns, names
 
 
 def _arrow(table: pa.Table, name: str) -> NDArray:
@@ -164,23 +168,22 @@ def _arrow(table: pa.Table, name: str) -> NDArray:
     return np.array(stored.to_numpy(zero_copy_only=False))
 
 
-def _member(group: h5py.Group, name: str) -> object:
-    """A member of a group. A link may lead to any file of this machine: UserError."""
+def _member(group: h5py.Group, name: str, kind: type[Any]) -> Any:
+    """A member of a group, from the file itself: a link may lead to any file of this machine."""
+    where = f"'{name}' in {group.file.filename}:{group.name}"
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-        raise UserError(
-            f"'{name}' in {group.file.filename}:{group.name} is a link: only data within the file "
-            "is read"
-        )
-    return group[name]
+        raise UserError(f"{where} is a link: only data within the file is read")
+    stored = group[name]
+    if not isinstance(stored, kind):
+        raise UserError(f"{where} is no {kind.__name__.lower()}: only flat observations and "
+                        "actions are read, in episodes")  # fmt: skip
+    return stored
 
 
 def _stored(group: h5py.Group, name: str) -> NDArray:
-    """The array `name` of a group, from the file itself."""
-    stored = _member(group, name)
-    where = f"'{name}' in {group.file.filename}:{group.name}"
-    if not isinstance(stored, h5py.Dataset):
-        raise UserError(f"{where} is no array: only flat observations and actions are read")
+    stored = _member(group, name, h5py.Dataset)
     if stored.external or stored.is_virtual:  # either could read any file on this machine
+        where = f"'{name}' in {group.file.filename}:{group.name}"
         raise UserError(f"{where} lies in another file: only data within the file is read")
     return np.asarray(stored[()])
 
@@ -206,15 +209,14 @@ def _minari(path: Path) -> Columns:
 
 def _hdf5_episodes(archive: Path) -> Iterator[tuple[str, Columns]]:
     with h5py.File(archive, "r") as file:
-        for name in _in_order([n for n in map(str, file) if n.startswith("episode_")]):
-            group = _member(file, name)
-            if not isinstance(group, h5py.Group):
-                raise UserError(f"{archive}: {name} is no episode: download the dataset again")
+        for name in sorted((n for n in map(str, file) if n.startswith("episode_")), key=_number):
+            group = _member(file, name, h5py.Group)
             yield f"{archive}: {name}", {field: _stored(group, field) for field in EPISODE}
 
 
 def _arrow_episodes(folder: Path, form: str) -> Iterator[tuple[str, Columns]]:
-    for name in _in_order([f.name for f in folder.iterdir() if f.is_dir() and f.name.isdecimal()]):
+    names = [f.name for f in folder.iterdir() if f.is_dir() and f.name.isdecimal()]
+    for name in sorted(names, key=_number):
         table = pyarrow.dataset.dataset(
             folder / name, format=form, ignore_prefixes=["_", ".", "metadata.json"]
         ).to_table()
@@ -224,8 +226,8 @@ def _arrow_episodes(folder: Path, form: str) -> Iterator[tuple[str, Columns]]:
         yield str(folder / name), {"observations": _arrow(table, "observations"), **arrays}
 
 
-def _in_order(names: list[str]) -> list[str]:
-    return sorted(names, key=lambda name: int(name.removeprefix("episode_")))
+def _number(name: str) -> int:
+    return int(name.removeprefix("episode_"))
 
 
 def _episode(where: str, arrays: Columns) -> Columns:
@@ -257,10 +259,16 @@ def _checked(path: Path, given: Columns, names: Iterable[str]) -> Columns:
     if "next_obs" not in columns and "truncated" not in columns:
         missing.append("next_obs or truncated")
     if missing:
-        raise UserError(
-            f"{path} lacks {', '.join(missing)} (it has {', '.join(names) or 'nothing'}): "
-            + _way_on(set(names))
-        )
+        advice = f"its columns are to be {', '.join(AXES)}"
+        if "observations_0" in names:
+            advice = f"d3rlpy keeps its episodes apart: write one row a step with savez, {advice}"
+        elif {*names} & {"dones", "done"}:
+            advice = (
+                "'dones' does not tell a terminal state from a time limit: write 'terminated', 1 "
+                "where the task ended, and 'truncated', 1 where only the recording did"
+            )
+        has = ", ".join(names) or "nothing"
+        raise UserError(f"{path} lacks {', '.join(missing)} (it has {has}): {advice}")
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         counts = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -271,21 +279,6 @@ def _checked(path: Path, given: Columns, names: Iterable[str]) -> Columns:
         widths = columns["next_obs"].shape[1], columns["obs"].shape[1]
         raise UserError(f"{path}: 'next_obs' has {widths[0]} dimensions, 'obs' has {widths[1]}")
     return columns
-
-
-def _way_on(names: set[str]) -> str:
-    """What to do with a file that has columns of these names, and not ours."""
-    if "observations_0" in names:
-        return (
-            "d3rlpy keeps its episodes apart: write one row a step with numpy.savez, the columns "
-            + ", ".join(AXES)
-        )
-    if names & {"dones", "done"}:
-        return (
-            "'dones' does not tell a terminal state from a time limit: write 'terminated', 1 where "
-            "the task ended, and 'truncated', 1 where only the recording did"
-        )
-    return f"its columns are to be {', '.join(AXES)}"
 
 
 def _numbers(where: str | Path, name: str, values: NDArray) -> NDArray:
@@ -316,8 +309,7 @@ def _assembled(path: Path, columns: Columns) -> Recording:
             _check_values(path, name, values)
     obs, action, reward, flag = (columns[n] for n in ("obs", "action", "reward", "terminated"))
     terminated, next_obs = flag != 0, columns.get("next_obs")
-    version = columns.get(VERSION)
-    version = None if version is None else version.astype(np.int64)
+    version = columns[VERSION].astype(np.int64) if VERSION in columns else None
     behaviour = _behaviour(path, columns)
     if "truncated" in columns:
         cut = columns["truncated"] != 0
@@ -342,8 +334,8 @@ def _assembled(path: Path, columns: Columns) -> Recording:
     never = np.zeros(len(kept), bool)
     rows = Transitions(obs[kept], action[kept], reward[kept], obs[kept + 1], never, ends[kept + 1])
     card = replace(take(rows, ordered=False), lost=int(terminated.sum()))
-    version = None if version is None else version[kept]
-    return Recording(rows, card, version, None if behaviour is None else behaviour[kept])
+    of_kept = [None if part is None else part[kept] for part in (version, behaviour)]
+    return Recording(rows, card, *of_kept)
 
 
 def _behaviour(path: Path, columns: Columns) -> NDArray[np.float32] | None:

@@ -124,9 +124,7 @@ class ReplayBuffer:
         return {name: stored.index_select(0, newest) for name, stored in parts.items()}
 
     def restore_tail(self, tail: dict[str, Tensor]) -> None:
-        """Append the rows of `tail`."""
-        # Checkpoints of before 2026-11-27 have no behaviour.
-        self._extend(tail["rows"], tail["policy_version"], tail.get("behaviour"))
+        self._extend(tail["rows"], tail["policy_version"], tail["behaviour"])
 
     def clear(self) -> None:
         """Forget every row; `total_added` goes on counting."""
@@ -151,7 +149,6 @@ class ReplayBuffer:
         return {**self.tail(self._size), "total_added": self.total_added}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the buffer that `state_dict` was taken from."""
         self.clear()
         self.restore_tail(state)
         self.total_added = state["total_added"]

@@ -54,11 +54,9 @@ class Scaling:
         return Scaling(torch.zeros(dim, device=device), torch.ones(dim, device=device))
 
     def first(self, n: int) -> Scaling:
-        """The scaling of the first n columns alone."""
         return Scaling(self.mean[:n], self.std[:n])
 
     def to(self, device: torch.device) -> Scaling:
-        """The same on `device`."""
         return Scaling(self.mean.to(device), self.std.to(device))
 
     def __call__(self, x: Tensor) -> Tensor:

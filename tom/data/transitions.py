@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +33,8 @@ class Transitions:
     def __len__(self) -> int:
         return len(self.obs)
 
-    def __getitem__(self, index: slice | Tensor | np.ndarray) -> Transitions:
-        return Transitions(*(getattr(self, f.name)[index] for f in fields(self)))
+    def __getitem__(self, index: slice | Tensor | np.ndarray | None) -> Self:
+        return type(self)(*(getattr(self, f.name)[index] for f in fields(self)))
 
     def torch(self) -> TensorTransitions:
         """The same rows as float32 tensors; shares memory where it can."""
@@ -73,9 +73,6 @@ class TensorTransitions(Transitions):
     next_obs: Tensor
     terminated: Tensor
     truncated: Tensor
-
-    def __getitem__(self, index: slice | Tensor | np.ndarray | None) -> TensorTransitions:
-        return TensorTransitions(*(getattr(self, f.name)[index] for f in fields(self)))
 
     def moves(self) -> Tensor:
         """(s, a, s' - s) of every row, (N, 2 O + A)."""

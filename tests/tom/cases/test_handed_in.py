@@ -228,9 +228,7 @@ def test_a_training_notices_a_task_or_rule_that_is_wrong(words, expected, capsys
 @pytest.mark.parametrize(
     ("field", "changed"),
     [
-        ("action_high", [3.0]),
         ("obs_scale", [10.0, 10.0]),
-        ("max_episode_steps", 60),
         ("rewards", [5.0] * 10),
     ],
 )

@@ -1,5 +1,7 @@
-"""Signals that ask a command to stop, and what they are after it."""
+"""How commands end: by signals, which are what they were after it, and where nobody reads."""
 
+import io
+import os
 import signal
 import subprocess
 import sys
@@ -8,6 +10,7 @@ from pathlib import Path
 import pytest
 from commands import code_of
 
+from tom.cli import main
 from tom.machine.processes import STOPPING, on_stopping
 
 HUP, TERM, INT = signal.SIGHUP, signal.SIGTERM, signal.SIGINT
@@ -72,3 +75,14 @@ def test_handlers_are_put_back_after_a_command(tmp_path: Path):
     before = [signal.getsignal(number) for number in STOPPING]
     code_of(["sweep", *SMOKE, "--store", str(tmp_path / "store")])
     assert [signal.getsignal(number) for number in STOPPING] == before
+
+
+def test_a_pipe_that_nobody_reads_is_no_error_at_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    read, write = os.pipe()
+    os.close(read)
+    with io.TextIOWrapper(os.fdopen(write, "wb")) as nobody:
+        monkeypatch.setattr(sys, "stdout", nobody)
+        assert main(["runs", "--json", "--store", str(tmp_path)]) == 1
+        nobody.flush()
