@@ -11,6 +11,7 @@ The choices of `SHARED` belong to all pages: they last when the user goes to ano
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 import streamlit as st
@@ -22,6 +23,8 @@ from app import text
 T = TypeVar("T")
 SHARED = ("task", "find", "state", "learner", "preset", "tag", "group", "hide", "show",
           "run", "step")  # fmt: skip
+many = partial(st.multiselect, filter_mode="contains", select_all=False)
+"""a choice of any number of options, which the address does not keep"""
 _PAGE, _ARRIVED = "address: page", "address: arrived"
 _KEPT, _KEEPING, _LEFT = "address: kept", "address: keeping", "address: left"
 
@@ -154,9 +157,7 @@ def choose_many(
     most = more.get("max_selections")
     held = value_of(key, lambda given: _among(options, given, shown)[:most] or list(usual))
     st.session_state[key] = [one for one in held if one in options]
-    chosen = st.multiselect(
-        label, options, key=key, format_func=shown, filter_mode="contains", select_all=False, **more
-    )
+    chosen = many(label, options, key=key, format_func=shown, **more)
     keep(key, [] if chosen == list(usual) else chosen)
     return chosen
 

@@ -18,28 +18,20 @@ from tom.record.layout import VIEWS
 from tom.record.store import Store
 
 CODE = re.compile(r"[0-9a-f]{8}")
-LONGEST = 8000
 
 
 def save(store: Path | str, page: str, query: str) -> str:
     """Store a page's address and return its code. The same view has the same code.
 
-    Raises UserError if the address is too long or the store cannot be written.
+    Raises UserError if the store cannot be written.
     """
-    if len(query) > LONGEST:
-        raise UserError(
-            f"a short link holds {LONGEST:,} characters, this view has {len(query):,}: "
-            "copy the long address"
-        )
     code = hashlib.sha256(f"{page}?{query}".encode()).hexdigest()[:8]
     folder = Store(store).beside(VIEWS)
     try:
         folder.mkdir(exist_ok=True)
         replace_json(folder / f"{code}.json", {"page": page, "query": query}, sync=False)
     except OSError as error:
-        raise UserError(
-            f"the view cannot be kept in {folder} ({error.strerror}): copy the long address"
-        ) from error
+        raise UserError(f"no view can be kept in {folder} ({error.strerror})") from error
     return code
 
 
@@ -72,7 +64,7 @@ def nowhere(code: str) -> str:
 def button() -> None:
     """A small menu with the address of the shown view, and a short one if the store is writable."""
     with st.popover("Link", icon=":material/link:"):
-        query = urlencode([(k, v) for k in st.query_params for v in st.query_params.get_all(k)])
+        query = urlencode({key: st.query_params.get_all(key) for key in st.query_params}, True)
         here = (st.context.url or "").split("?")[0]
         page = here.rstrip("/").rpartition("/")[2]
         address = f"{here}?{query}"

@@ -222,9 +222,7 @@ def _card(run: RunReader, preset: str) -> None:
         _asked().discard(run.run_id)
         st.html(head(run, preset))
     st.progress(status.share, text=text.markdown(progress_line(run)))
-    numbers = figures(run)
-    for column, (label, value) in zip(st.columns(len(numbers), gap="small"), numbers, strict=True):
-        column.metric(label, value)
+    widgets.metrics(figures(run))
     # The run's record does not know the folder that this studio's terminal would need to be in.
     reason = status.reason.replace(f"tom train --resume {run.run_id}", resume(run))
     for words in (settings_line(run), reason, *status.warnings):
@@ -235,18 +233,20 @@ def _card(run: RunReader, preset: str) -> None:
             st.code(log, language=None)
 
 
-def figures(run: RunReader) -> list[tuple[str, str]]:
+def figures(run: RunReader) -> dict[str, str]:
     """The returns, and the speed of a training run, which is unknown during a fit."""
     status = run.status
-    memory = trainings.memory(status.pid, run.path) if status.alive else None
-    numbers = [
-        ("last return", readable.score(status.last_return)),
-        ("best return", readable.score(status.best_return)),
-    ]
+    numbers = {
+        "last return": readable.score(status.last_return),
+        "best return": readable.score(status.best_return),
+    }
     if status.alive:
-        numbers.append(("steps / s", readable.number(status.env_steps_per_s or None)))
-        numbers.append(("ETA", readable.duration(status.eta_s)))
-        numbers.append(("memory", readable.size(memory) if memory else readable.UNKNOWN))
+        memory = trainings.memory(status.pid, run.path)
+        numbers |= {
+            "steps / s": readable.number(status.env_steps_per_s or None),
+            "ETA": readable.duration(status.eta_s),
+            "memory": readable.size(memory) if memory else readable.UNKNOWN,
+        }
     return numbers
 
 

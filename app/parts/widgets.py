@@ -1,6 +1,7 @@
 """What several pages show: viewers, links, downloads, and words in place of what is missing."""
 
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 import pandas as pd
 import streamlit as st
@@ -46,6 +47,13 @@ def differs(run: RunReader) -> bool:
         return False  # known without reading
     profiles = readers.profiles(readers.weighed(run))
     return len(profiles.ess) > 0 and bool(profiles.ess[-1] < 0.99)
+
+
+def metrics(numbers: Mapping[str, str], helps: Mapping[str, str] = MappingProxyType({})) -> None:
+    """Single numbers in a row, and what some of them are, by their labels."""
+    columns = st.columns(len(numbers), gap="small")
+    for column, (label, value) in zip(columns, numbers.items(), strict=True):
+        column.metric(label, value, help=helps.get(label))
 
 
 def show_problems(run: RunReader, problems: Sequence[str] | None = None) -> None:

@@ -18,6 +18,7 @@ from app.figures.statistics import intervals, two_axes
 from app.parts import address, form, jobs, widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
+from tom.learners import SUBJECT
 
 EVERY = "Every question"
 SIGNS = {"Yes": ":material/check_circle:", "No": ":material/cancel:",
@@ -87,7 +88,7 @@ def _card(study: Study) -> None:
     the verdict, its own picture.
     """
     found = verdict(study)
-    asked = study.question
+    asked = question(study, found)
     st.header(text.markdown(asked or study.name), anchor=False)
     if asked and study.name != study.verb:
         st.caption(text.markdown(study.name))
@@ -113,10 +114,19 @@ def _card(study: Study) -> None:
     )  # fmt: skip
 
 
+def question(study: Study, found: Verdict | None) -> str:
+    """The study's question, asked about the ways that it has where TOM's are not among them."""
+    points = found.points if found else ()
+    if not points or any(point.learner == SUBJECT for point in points):
+        return study.question
+    ways = " and ".join(dict.fromkeys(point.series or point.line for point in points))
+    return study.question.replace("TOM's weights", f"the weights of {ways}")
+
+
 def _whole(study: Study) -> None:
     """The paper's claim, the result, the command, and all figures and tables."""
     head = st.columns([5, 1], vertical_alignment="center")
-    asked = study.question
+    asked = question(study, verdict(study))
     head[0].header(text.markdown(asked or study.name), anchor=False)
     if study.report is not None:
         where = f"reports/{quote(study.name)}"

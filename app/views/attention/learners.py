@@ -34,6 +34,25 @@ COLUMNS = {
     "trend": "spearman",
 }
 """columns of the table, and their names in the report of a weighing"""
+_number = partial(st.column_config.NumberColumn, width=68)
+SHOWN = {
+    "footprint": st.column_config.TextColumn(
+        width=96,
+        help="distance of the weighted buffer to fresh episodes of the policy over that of the "
+        "unweighted buffer, ± its standard error over those episodes (if there are five or more): "
+        "1 is no better than no weights, 0 like the policy itself",
+    ),
+    "ESS": _number(format="percent", help="effective sample (sum w)² / sum w², of the buffer"),
+    "weight 0": _number(format="percent", help="share of transitions with weight zero"),
+    "random": _number(format="%.3g", help="mean weight of the random data"),
+    "newest": _number(format="%.3g", help="mean weight of the newest tenth of the buffer"),
+    "trend": _number(
+        format="%.3g",
+        help="rank correlation of the tenths of the ordered part with their order: 1 when newer "
+        "counts more throughout",
+    ),
+}
+"""how the table shows its columns"""
 
 
 def draw(scope: Scope) -> None:
@@ -103,7 +122,7 @@ def _weighed(weighing: Weighing, rows: int) -> None:
         st.markdown("**What the weights come to**: medians over seeds")
         st.dataframe(
             _table(weighing.medians, footprints),
-            hide_index=True, width="content", height="content", column_config=_columns(),
+            hide_index=True, width="content", height="content", column_config=SHOWN,
         )  # fmt: skip
         st.caption(f"TOM with {text.markdown(weighing.settings)}. Weights have mean 1.")
 
@@ -155,27 +174,6 @@ def _table(
     )
 
 
-def _columns() -> dict:
-    number = partial(st.column_config.NumberColumn, width=68)
-    return {
-        "footprint": st.column_config.TextColumn(
-            width=96,
-            help="distance of the weighted buffer to fresh episodes of the policy over that of the "
-            "unweighted buffer, ± its standard error over those episodes (if there are five or "
-            "more): 1 is no better than no weights, 0 like the policy itself",
-        ),
-        "ESS": number(format="percent", help="effective sample (sum w)² / sum w², of the buffer"),
-        "weight 0": number(format="percent", help="share of transitions with weight zero"),
-        "random": number(format="%.3g", help="mean weight of the random data"),
-        "newest": number(format="%.3g", help="mean weight of the newest tenth of the buffer"),
-        "trend": number(
-            format="%.3g",
-            help="rank correlation of the tenths of the ordered part with their order: 1 when "
-            "newer counts more throughout",
-        ),
-    }
-
-
 def _weigh(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None:
     """A form that starts `tom weigh` on this buffer, all of it or its state at a fit."""
     with st.expander("Weigh this buffer", icon=":material/scale:", expanded=expanded):
@@ -194,11 +192,11 @@ def _weigh(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None
             "By the policy of", [*policies, RANDOM, FOREIGN], key="weigh policy"
         )
         usable = [name for name in LEARNERS if run.keeps_behaviour() or not follows_behaviour(name)]
-        learners = row[2].multiselect(
-            "Learners", usable, list(WEIGHED_FIRST), key="weigh learners",
-            format_func=learner_label,
-            filter_mode="contains", select_all=False,
-        )  # fmt: skip
+        with row[2]:
+            learners = address.many(
+                "Learners", usable, list(WEIGHED_FIRST), key="weigh learners",
+                format_func=learner_label,
+            )  # fmt: skip
         preset = row[3].selectbox(
             "TOM's preset", PRESETS, key="weigh preset",
             help="own: the settings of the buffer's run",

@@ -18,7 +18,7 @@ from app.data.selection import Mask
 from app.data.weighings import Brushed
 from app.data.why import Why
 from app.figures.why import NAMES, change, error_bars, factor_in_words, rollout_lines, waterfall
-from app.parts import address, jobs
+from app.parts import address, jobs, widgets
 from app.parts.plot import chart
 from app.scenes.film import ghosts
 from app.theme import learner_label
@@ -108,14 +108,14 @@ def _pick(rows: Rows) -> None:
 
 
 def _head(rows: Rows, row: int) -> None:
-    columns = st.columns(5)
-    lighter = float((rows.weight < rows.weight[row]).mean())
-    columns[0].metric("weight", number(float(rows.weight[row]), 3))
-    columns[1].metric("heavier than", percent(lighter), help="of the buffer")
-    columns[2].metric("its step in its episode", f"{rows.place[row] + 1:,}")
-    columns[3].metric("return of that episode", score(float(rows.episode_return[row])))
-    ends = "yes" if rows.rows.numpy().ended()[row] else "no"
-    columns[4].metric("ends the episode", ends)
+    numbers = {
+        "weight": number(float(rows.weight[row]), 3),
+        "heavier than": percent(float((rows.weight < rows.weight[row]).mean())),
+        "its step in its episode": f"{rows.place[row] + 1:,}",
+        "return of that episode": score(float(rows.episode_return[row])),
+        "ends the episode": "yes" if rows.rows.numpy().ended()[row] else "no",
+    }
+    widgets.metrics(numbers, {"heavier than": "of the buffer"})
 
 
 def _formula(config: TomConfig, parts: Sum, whose: str) -> str:

@@ -8,7 +8,7 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers, tables
-from app.parts import widgets
+from app.parts import address, widgets
 from app.parts.scope import Scope, toggle
 from app.theme import learner_label
 from tom.analysis.settings import NONE, differences
@@ -21,6 +21,14 @@ from tom.record.store import Store
 ALREADY = ("env", "learner", "preset", "seed", "steps")
 """settings that have columns of their own"""
 MOST_SETTINGS, MOST_COLUMNS = 12, 24
+MARK = "font-weight: 650; background-color: rgba(200, 68, 28, 0.2)"
+COLUMNS = {
+    "shown": st.column_config.CheckboxColumn("shown", help="as its eye at the left"),
+    "tags": st.column_config.ListColumn("tags"),
+    "steps": st.column_config.NumberColumn("steps", format="localized"),
+    "last": st.column_config.NumberColumn("last return", format="%.4g"),
+    "best": st.column_config.NumberColumn("best return", format="%.4g"),
+}
 
 
 def draw(scope: Scope) -> None:
@@ -32,61 +40,64 @@ def draw(scope: Scope) -> None:
     for path, of in reversed([*apart.items()][:MOST_SETTINGS]):
         table.insert(2, path, of)
     edited = st.data_editor(
-        table, hide_index=True, column_config=_columns(), key=f"runs {sorted(scope.hidden)}",
+        table, hide_index=True, column_config=COLUMNS, key=f"runs {sorted(scope.hidden)}",
         disabled=[name for name in table if name != "shown"],
     )  # fmt: skip
-    if changed := [
-        r for r, on, was in zip(runs, edited["shown"], table["shown"], strict=True) if on != was
-    ]:
-        toggle(scope, changed[0].run_id)
-        st.rerun()
+    for run, on, was in zip(runs, edited["shown"], table["shown"], strict=True):
+        if on != was:
+            toggle(scope, run.run_id)
+            st.rerun()
     if why := session.read_only_reason():
         st.caption(why)
         return
-    picked = st.multiselect(
-        "Runs to label or to move to the trash",
-        [run.run_id for run in runs],
-        key="labelled",
-        # By their ids: a choice would be lost whenever a new name changed its words.
+    # By their ids: a choice would be lost whenever a new name changed its words.
+    picked = address.many(
+        "Runs to label or to move to the trash", [run.run_id for run in runs], key="labelled",
         placeholder="none",
-        filter_mode="contains",
-        select_all=False,
-    )
-    chosen = [run for run in runs if run.run_id in picked]
-    if chosen:
+    )  # fmt: skip
+    store = Store(session.links().store)
+    if chosen := [run for run in runs if run.run_id in picked]:
         left, right = st.columns([3, 2])
         with left, st.container(border=True):
-            _label(chosen)
+            _label(store, chosen)
         with right, st.container(border=True):
-            _trash(chosen)
-    _restore()
+            st.markdown("**Trash**: nothing is deleted; runs come back from below")
+            one = len(chosen) == 1
+            words = "Move it to the trash" if one else f"Move {len(chosen)} runs to the trash"
+            with st.popover(words, icon=":material/delete:"):
+                sure = st.button("Yes, move it" if one else "Yes, move them", key="trash")
+            if sure:
+                _try(lambda: manage.trash(store, *picked), "Moved to the trash")
+    if there := readers.trashed(store.path):
+        with st.expander(f"{len(there)} in the trash"):
+            back = address.many("Runs to bring back", there, key="restored", placeholder="none")
+            if st.button("Bring back", icon=":material/restore_from_trash:", disabled=not back):
+                _try(lambda: manage.restore(store, *back), "Brought back")
 
 
 def overview(runs: Sequence[RunReader]) -> pd.DataFrame:
     """One row per run."""
     return pd.DataFrame(
-        [
-            {
-                "run": run.run_id,
-                "name": run.labels.name,
-                "tags": list(run.labels.tags),
-                "environment": run.env,
-                "learner": learner_label(run.learner),
-                "seed": run.seed,
-                "preset": run.preset,
-                "state": run.shown,
-                "steps": run.status.env_step,
-                "last": run.status.last_return,
-                "best": run.status.best_return,
-                "created": run.created[:16].replace("T", " "),
-                "note": run.labels.note,
-            }
-            for run in runs
-        ]
+        {
+            "run": run.run_id,
+            "name": run.labels.name,
+            "tags": list(run.labels.tags),
+            "environment": run.env,
+            "learner": learner_label(run.learner),
+            "seed": run.seed,
+            "preset": run.preset,
+            "state": run.shown,
+            "steps": run.status.env_step,
+            "last": run.status.last_return,
+            "best": run.status.best_return,
+            "created": run.created[:16].replace("T", " "),
+            "note": run.labels.note,
+        }
+        for run in runs
     )
 
 
-def _label(chosen: Sequence[RunReader]) -> None:
+def _label(store: Store, chosen: Sequence[RunReader]) -> None:
     one = chosen[0] if len(chosen) == 1 else None
     key = " ".join(run.run_id for run in chosen)
     name = note = None
@@ -98,15 +109,12 @@ def _label(chosen: Sequence[RunReader]) -> None:
             note = st.text_area("Note", one.labels.note, max_chars=NOTE_LENGTH)
         held = list(dict.fromkeys(tag for run in chosen for tag in run.labels.tags))
         shared = [tag for tag in held if all(tag in run.labels.tags for run in chosen)]
-        tags = st.multiselect(
+        tags = address.many(
             "Tags" if one else f"Tags of these {len(chosen)} runs", held, shared,
             accept_new_options=True, placeholder="type a tag and press Enter",
             help=None if one else "those that all of them have; other tags of each run stay",
-            filter_mode="contains", select_all=False,
         )  # fmt: skip
-        if not st.form_submit_button("Save", icon=":material/save:", type="primary"):
-            return
-    store = Store(session.links().store)
+        saved = st.form_submit_button("Save", icon=":material/save:", type="primary")
 
     def save() -> None:
         for run in chosen:
@@ -114,36 +122,8 @@ def _label(chosen: Sequence[RunReader]) -> None:
             gone = [tag for tag in shared if tag not in tags]
             manage.label(store, run.run_id, name=name, note=note, add=added, remove=gone)
 
-    _try(save, "Saved")
-
-
-def _trash(chosen: Sequence[RunReader]) -> None:
-    st.markdown("**Trash**: nothing is deleted; runs come back from below")
-    count = len(chosen)
-    words = "Move it to the trash" if count == 1 else f"Move {count} runs to the trash"
-    with st.popover(words, icon=":material/delete:"):
-        sure = st.button("Yes, move it" if count == 1 else "Yes, move them", key="trash")
-    if sure:
-        store = Store(session.links().store)
-        _try(lambda: manage.trash(store, *(run.run_id for run in chosen)), "Moved to the trash")
-
-
-def _restore() -> None:
-    store = Store(session.links().store)
-    there = readers.trashed(store.path)
-    if not there:
-        return
-    with st.expander(f"{len(there)} in the trash"):
-        back = st.multiselect(
-            "Runs to bring back",
-            there,
-            key="restored",
-            placeholder="none",
-            filter_mode="contains",
-            select_all=False,
-        )
-        if st.button("Bring back", icon=":material/restore_from_trash:", disabled=not back):
-            _try(lambda: manage.restore(store, *back), "Brought back")
+    if saved:
+        _try(save, "Saved")
 
 
 def _try(act: Callable[[], object], done: str) -> None:
@@ -155,17 +135,6 @@ def _try(act: Callable[[], object], done: str) -> None:
         return
     st.toast(done, icon=":material/check:")
     st.rerun()
-
-
-def _columns() -> dict:
-    number = st.column_config.NumberColumn
-    return {
-        "shown": st.column_config.CheckboxColumn("shown", help="as its eye at the left"),
-        "tags": st.column_config.ListColumn("tags"),
-        "steps": number("steps", format="localized"),
-        "last": number("last return", format="%.4g"),
-        "best": number("best return", format="%.4g"),
-    }
 
 
 def settings(shown: Sequence[RunReader]) -> None:
@@ -182,9 +151,8 @@ def settings(shown: Sequence[RunReader]) -> None:
     )
 
     def marked(row: pd.Series) -> list[str]:
-        style = "font-weight: 650; background-color: rgba(200, 68, 28, 0.2)"
-        return ["" if i < 2 or value == row.iloc[1] else style
-                for i, value in enumerate(row)]  # fmt: skip
+        first = row.iloc[1]
+        return ["" if i < 2 or value == first else MARK for i, value in enumerate(row)]
 
     st.dataframe(table.style.apply(marked, axis=1), hide_index=True)
     widgets.downloads({"Settings": (lambda: table, "settings")}, "compare")

@@ -87,19 +87,20 @@ def draw(scope: Scope) -> None:
 
 def _numbers(replay: Replay) -> None:
     episode, imagined = replay.episode, replay.imagined
-    columns = st.columns(5)
-    columns[0].metric("learner", text.markdown(learner_label(replay.learner)))
-    columns[1].metric("return", readable.score(episode.undiscounted_return))
-    columns[2].metric(
-        "length", f"{episode.length:,} steps", help=f"{episode.length * replay.dt:.2f} seconds"
-    )
     end = "time limit" if episode.truncated else "terminal state"
-    columns[3].metric("ended by", end if episode.truncated or episode.terminated else "-")
-    columns[4].metric(
-        "return, imagined",
-        "-" if imagined is None else readable.score(float(imagined.reward.sum())),
-        help="sum of the rewards that the model predicts along the ghost's path",
-    )
+    dreamt = None if imagined is None else float(imagined.reward.sum())
+    numbers = {
+        "learner": text.markdown(learner_label(replay.learner)),
+        "return": readable.score(episode.undiscounted_return),
+        "length": f"{episode.length:,} steps",
+        "ended by": end if episode.truncated or episode.terminated else "-",
+        "return, imagined": readable.score(dreamt),
+    }
+    helps = {
+        "length": f"{episode.length * replay.dt:.2f} seconds",
+        "return, imagined": "sum of the rewards that the model predicts along the ghost's path",
+    }
+    widgets.metrics(numbers, helps)
     if replay.model_step is None:
         words = f"No ghost: {text.markdown(replay.no_ghost)}."
     elif replay.ghost is None and replay.drawn:
