@@ -16,7 +16,6 @@ from typing import get_args
 import numpy as np
 from matplotlib.figure import Figure
 
-from tom.learners.discriminator import Inputs
 from tom.learners.terms import DIVERGENCES
 from tom.reports.figures import NEUTRAL, learner_colour, new_figure
 from tom.reports.report import seeds as in_short
@@ -31,6 +30,7 @@ from tom.studies.tabular_estimates import (
     VARIANTS,
     Case,
     Estimate,
+    Inputs,
     Variant,
     cases,
     counts_of,

@@ -15,7 +15,6 @@ from scipy.stats import rankdata
 
 from tom.config import TomConfig
 from tom.data.transitions import Transitions
-from tom.learners.discriminator import Inputs
 from tom.learners.tom import occupancy_weights
 from tom.studies.mdp import (
     Array,
@@ -35,6 +34,9 @@ from tom.studies.mdp import (
 )
 from tom.studies.study import Row
 from tom.training.presets import PRESETS
+
+Inputs = Literal["transitions", "state-actions"]
+"""of the discriminator (`TomConfig.discriminator_input`)"""
 
 
 @dataclass(frozen=True)
