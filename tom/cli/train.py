@@ -6,7 +6,7 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any, TextIO
 
 from pydantic import ValidationError
@@ -29,7 +29,7 @@ from tom.learners import LEARNERS
 from tom.machine.memory import REFUSING, out_of_memory, ran_out
 from tom.machine.processes import on_stopping
 from tom.readable import score
-from tom.record import RunReader, Store, checkpoint, manage
+from tom.record import RunReader, Store, checkpoint, lock, manage
 from tom.record.files import size_of
 from tom.record.task_record import card_of
 from tom.sweep.backend import FolderBackend
@@ -116,7 +116,7 @@ def begin(config: AnyConfig, args: argparse.Namespace) -> int:
     except StartAgainError as error:
         print(error, file=sys.stderr)
     if there:
-        with manage.unwritten(run), manage.refused(f"cannot trash run '{run.run_id}'"):
+        with closing(lock.acquire(run.path)):
             place = manage.into_trash(store, run.path)
         print(f"{run.run_id}: began anew; what was there is in {place}", file=sys.stderr)
     return record(config, args)

@@ -11,7 +11,7 @@ import re
 import secrets
 import shutil
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -204,7 +204,7 @@ def _replace(store: Store, held: RunReader, fetched: RunReader) -> str:
     if held.status.state == "finished" or steps[0] > steps[1]:
         return AHEAD
     same_run = held.config.get("created") == fetched.config.get("created")
-    with manage.unwritten(held):
+    with closing(lock.acquire(held.path)):
         if same_run and (held.path / layout.LABELS).is_file():
             shutil.copy2(held.path / layout.LABELS, fetched.path / layout.LABELS)
         older = manage.into_trash(store, held.path)  # where it is found if this process is killed
@@ -250,7 +250,11 @@ class Attempt:
         prefix = f"{self.run_id}/{self.name}"
         status = (folder / layout.STATUS).read_bytes()  # read before all other files
         # Checkpoints are listed first: their data was written before them and is listed later.
-        files = _files(folder, folder / checkpoint.FOLDER) | _files(folder, folder)
+        files: dict[str, tuple[int, int]] = {}
+        for path, stat in (*files_in(folder / checkpoint.FOLDER), *files_in(folder)):
+            name = path.relative_to(folder)
+            if name != Path(layout.STATUS) and not any(one.startswith(".") for one in name.parts):
+                files[name.as_posix()] = stat.st_mtime_ns, stat.st_size
         for name in sorted(files, key=_rank):
             if self._put.get(name) == files[name]:
                 continue
@@ -268,16 +272,6 @@ class Attempt:
 
 def _last(bucket: Bucket, run_id: str) -> str:
     return max((n for n in bucket.folders(run_id) if NAME.fullmatch(n)), default="000000")
-
-
-def _files(folder: Path, part: Path) -> dict[str, tuple[int, int]]:
-    """Modification time and size of every file in `part` except the status and hidden files."""
-    found = {path.relative_to(folder): stat for path, stat in files_in(part)}
-    return {
-        name.as_posix(): (stat.st_mtime_ns, stat.st_size)
-        for name, stat in found.items()
-        if name != Path(layout.STATUS) and not any(one.startswith(".") for one in name.parts)
-    }
 
 
 def _rank(name: str) -> tuple[int, str]:

@@ -26,7 +26,7 @@ from tom.record.thin import thin
 def export(reader: RunReader, kind: str, folder: Path) -> Path:
     """Write the run as `kind` into `folder` and return the path.
 
-    Raises UserError if the export exists already or the folder cannot be written.
+    Raises UserError if the export exists already, OSError if it cannot be written.
     """
     suffix, write = EXPORTERS[kind]
     return _written(folder / (reader.run_id + suffix), partial(write, reader))
@@ -47,11 +47,8 @@ def export_rows(table: pd.DataFrame, path: Path) -> Path:
 def _written(path: Path, write: Callable[[Path], object]) -> Path:
     if os.path.lexists(path):
         raise UserError(f"{path} exists already: move it away or choose another --out")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(path)
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write(path)
     return path
 
 

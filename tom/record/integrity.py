@@ -7,6 +7,7 @@ A repair moves damaged files into the run's `damaged/` folder and never deletes 
 """
 
 import hashlib
+from contextlib import closing
 from dataclasses import asdict
 from dataclasses import replace as but
 from datetime import datetime
@@ -14,7 +15,7 @@ from pathlib import Path
 
 from tom.data.unpack import DAMAGE, read_arrays
 from tom.errors import TryLaterError, reason
-from tom.record import checkpoint, layout
+from tom.record import checkpoint, layout, lock
 from tom.record.decode import read_table
 from tom.record.files import (
     files_in,
@@ -24,7 +25,6 @@ from tom.record.files import (
     replace_json,
     set_aside,
 )
-from tom.record.manage import refused, unwritten
 from tom.record.reader import RunReader
 
 SCHEMA = 1
@@ -79,10 +79,10 @@ def repair(reader: RunReader) -> list[str]:
 
     Damaged lines become blank, damaged arrays are set aside, a dead run becomes `stopped`, and
     temporary files of an interrupted write are removed. Raises UserError while the run is being
-    written, or if the disk is full: what is repaired by then stays repaired.
+    written, and OSError; what is repaired by then stays repaired.
     """
     run, done = reader.path, dict[str, str]()
-    with unwritten(reader), refused(f"cannot repair run '{reader.run_id}'"):
+    with closing(lock.acquire(run)):
         for name in _left(run):
             (run / name).unlink()
             done[name] = "removed, it was never whole"

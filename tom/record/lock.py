@@ -60,8 +60,15 @@ class RunLock:
 def acquire(path: Path) -> RunLock:
     """Lock the run folder `path` until the returned lock is closed.
 
-    Raises BusyError if another process holds the lock, UserError if the folder cannot be written.
+    Raises BusyError if another process holds the lock, or another machine writes the run, as a new
+    heartbeat shows; if this machine wrote last, the lock is proof enough. Raises UserError if the
+    folder cannot be written.
     """
+    before = RunReader(path).status  # running, alive or not: its machine's clock may be another
+    if before.state == "running" and written_here(path) is False:
+        time.sleep(2.5 * BEAT_S)
+        if RunReader(path).status.heartbeat != before.heartbeat:
+            raise BusyError(f"run '{path.name}' is being written on another machine: stop it there")
     try:
         file = os.open(path / layout.LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
@@ -134,19 +141,6 @@ def written_here(path: Path) -> bool | None:
         return (path / layout.LOCK).read_bytes().startswith(_boot())
     except OSError:
         return None
-
-
-def refuse_if_elsewhere(run: RunReader) -> None:
-    """Raises BusyError if another machine writes the run, as a new heartbeat shows.
-
-    Returns at once if this machine wrote last, because then the lock is proof enough.
-    """
-    before = RunReader(run.path).status  # running, alive or not: its machine's clock may be another
-    if before.state != "running" or written_here(run.path) is not False:
-        return
-    time.sleep(2.5 * BEAT_S)
-    if RunReader(run.path).status.heartbeat != before.heartbeat:
-        raise BusyError(f"run '{run.run_id}' is being written on another machine: stop it there")
 
 
 def _boot() -> bytes:

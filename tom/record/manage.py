@@ -1,13 +1,14 @@
 """Runs of a store as their user manages them: labels, trash, disk space, old checkpoints.
 
-Nothing here changes a training's files; only old checkpoints are ever deleted.
+Nothing here changes a training's files; only old checkpoints are ever deleted. All may raise
+OSError.
 """
 
 import os
 import re
 import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import ExitStack, closing, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 
@@ -44,7 +45,7 @@ def label(
     """
     path = store.run(run_id).path
     file = path / layout.LABELS
-    with refused(f"cannot label run '{run_id}'"), lock.alone_in(path):
+    with lock.alone_in(path):
         try:
             before = labels_of(read_json(file)) if file.exists() else Labels()
         except ValueError as error:
@@ -80,9 +81,9 @@ def trash(store: Store, *run_ids: str) -> list[Path]:
     Raises UserError if one is not a run folder of this store, or is being written.
     """
     readers = [store.run(run_id) for run_id in dict.fromkeys(run_ids)]
-    with ExitStack() as locks, refused(f"cannot trash {', '.join(run_ids)}"):
+    with ExitStack() as locks:
         for reader in readers:
-            locks.enter_context(unwritten(reader))
+            locks.enter_context(closing(lock.acquire(reader.path)))
         return [into_trash(store, reader.path) for reader in readers]
 
 
@@ -119,8 +120,7 @@ def restore(store: Store, *run_ids: str) -> list[Path]:
             raise UserError(f"{store.path}/ holds another run '{run_id}': trash that one first")
         moves.append((max(in_trash[run_id].items())[1], place))
     for trashed_place, place in moves:
-        with refused(f"cannot restore run '{place.name}'"):
-            trashed_place.rename(place)
+        trashed_place.rename(place)
     return [place for _, place in moves]
 
 
@@ -141,7 +141,7 @@ def prune(reader: RunReader, keep: int, *, dry_run: bool = False) -> int:
     A damaged one replaces none. A dry run deletes nothing. Raises UserError while the run is being
     written.
     """
-    with nullcontext() if dry_run else unwritten(reader):
+    with nullcontext() if dry_run else closing(lock.acquire(reader.path)):
         old = checkpoint.folders(reader.path / checkpoint.FOLDER)
         while old and keep:
             keep -= checkpoint.is_whole(old.pop(0))
@@ -149,29 +149,6 @@ def prune(reader: RunReader, keep: int, *, dry_run: bool = False) -> int:
         for path in () if dry_run else old:
             shutil.rmtree(path)
     return freed
-
-
-@contextmanager
-def unwritten(reader: RunReader) -> Iterator[None]:
-    """Hold the writer's lock: no training can open or resume the run inside the block.
-
-    Raises UserError if one is writing it.
-    """
-    lock.refuse_if_elsewhere(reader)
-    held = lock.acquire(reader.path)
-    try:
-        yield
-    finally:
-        held.close()
-
-
-@contextmanager
-def refused(what: str) -> Iterator[None]:
-    """Raises UserError, which begins with `what`, for an OSError inside the block."""
-    try:
-        yield
-    except OSError as error:
-        raise UserError(f"{what}: {error.strerror or error}") from error
 
 
 def _trashed(store: Store) -> dict[str, dict[int, Path]]:

@@ -141,9 +141,13 @@ class RunReader:
     def preset(self) -> str:
         return str(self.config.get("preset", "?"))
 
-    @cached_property
+    @property
     def settings(self) -> Settings:
         """The whole configuration by dotted path, values as text."""
+        return self._settings  # a property, as protocols of runs ask for
+
+    @cached_property
+    def _settings(self) -> Settings:
         return in_words(self.config.get("config"))
 
     @property

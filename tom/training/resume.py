@@ -70,7 +70,6 @@ def resume(
     notices = [("versions", _changed_versions(reader, accept_versions))]
     if (other := changed(reader)) is not None:
         notices.append(other)
-    lock.refuse_if_elsewhere(reader)
     writer = RunWriter(reader.path, config)  # takes the lock: no other process can write the run
     try:
         saved = _checkpoint(reader, config)

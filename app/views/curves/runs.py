@@ -130,7 +130,7 @@ def _try(act: Callable[[], object], done: str) -> None:
     """Call `act` and draw the page again; if it fails, show why in one line."""
     try:
         act()
-    except UserError as error:
+    except (UserError, OSError) as error:
         st.error(text.markdown(error), icon=":material/error:")
         return
     st.toast(done, icon=":material/check:")

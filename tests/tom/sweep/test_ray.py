@@ -5,7 +5,6 @@ import os
 import secrets
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -18,6 +17,7 @@ from kernel import descendants
 from sweeping import WAIT_S, assert_same_runs, beyond_a_checkpoint, finish, plan, until
 
 from tom.cli import main
+from tom.machine.address import free_port
 from tom.record import RunReader, Store
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
@@ -126,19 +126,22 @@ def end(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
+Head = tuple[str, subprocess.Popen[bytes]]
+"""the address of a cluster that is up, and the process of its head"""
+
+
+@pytest.fixture
+def head(node: Callable[..., subprocess.Popen[bytes]]) -> Head:
+    port = free_port("127.0.0.1")
+    process = node("--head", f"--port={port}", "--include-dashboard=false")
+    until(lambda: len(descendants(process.pid)) > 2)
+    return f"127.0.0.1:{port}", process
 
 
 @pytest.mark.slow
 def test_what_the_user_names_reaches_a_cluster_that_was_there_before(
-    node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    head: Head, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    port = free_port()
-    head = node("--head", f"--port={port}", "--include-dashboard=false")
-    until(lambda: len(descendants(head.pid)) > 2)
     (tmp_path / "own_tasks.py").write_text(TASK)
     (tmp_path / "own_learner.py").write_text("from reward import register")
     for path in (ROOT / "docs/examples").glob("*.py"):
@@ -149,7 +152,7 @@ def test_what_the_user_names_reaches_a_cluster_that_was_there_before(
     words += ["--plugin", "own_learner", "--plugin", "surprise.py", "--surprise.steps", "9"]
     words += ["--termination", "own_tasks:fallen", "--store", "runs", "--steps", "210"]
     command = [sys.executable, "-m", "tom", "sweep", *words, "--engine", "ray"]
-    command += ["--address", f"127.0.0.1:{port}"]
+    command += ["--address", head[0]]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "1 of 1 runs finished" in done.stdout
@@ -157,13 +160,10 @@ def test_what_the_user_names_reaches_a_cluster_that_was_there_before(
 
 @pytest.mark.fault
 def test_a_wrong_token__is_one_line_that_names_it(
-    node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    head: Head, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    port = free_port()
-    head = node("--head", f"--port={port}", "--include-dashboard=false")
-    until(lambda: len(descendants(head.pid)) > 2)
     monkeypatch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
-    command = sweep("--address", f"127.0.0.1:{port}", "--store", str(tmp_path / "store"))
+    command = sweep("--address", head[0], "--store", str(tmp_path / "store"))
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "token" in done.stderr
@@ -209,12 +209,9 @@ def test_a_sweep_on_a_cluster_asked_to_stop__stops_with_a_checkpoint(number: int
 
 @pytest.mark.fault
 def test_a_node_of_a_cluster_killed__its_runs_go_on_elsewhere_to_the_same_numbers(
-    node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
+    node: Callable[..., subprocess.Popen[bytes]], head: Head, tmp_path: Path
 ):
-    address = f"127.0.0.1:{free_port()}"
-    store = Store(tmp_path / "store")
-    head = node("--head", f"--port={address.partition(':')[2]}", "--include-dashboard=false")
-    until(lambda: len(descendants(head.pid)) > 2)
+    store, (address, _) = Store(tmp_path / "store"), head
     other = node(f"--address={address}")
     words = ("--steps", "1500", "--checkpoint-every", "100", "--seeds", "0", "1")
     driver = subprocess.Popen(sweep(*words, "--address", address, "--store", str(store.path)))
@@ -233,13 +230,10 @@ def test_a_node_of_a_cluster_killed__its_runs_go_on_elsewhere_to_the_same_number
 
 @pytest.mark.fault
 def test_a_node_of_a_cluster_that_hangs__is_given_up_like_one_that_died(
-    node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
+    node: Callable[..., subprocess.Popen[bytes]], head: Head, tmp_path: Path
 ):
     """Its connections stay open, as those of a machine without power do."""
-    address = f"127.0.0.1:{free_port()}"
-    store = Store(tmp_path)
-    head = node("--head", f"--port={address.partition(':')[2]}", "--include-dashboard=false")
-    until(lambda: len(descendants(head.pid)) > 2)
+    store, (address, _) = Store(tmp_path), head
     other = node(f"--address={address}")
     words = ("--steps", "100000", "--checkpoint-every", "100", "--seeds", "0", "1")
     driver = subprocess.Popen(sweep(*words, "--address", address, "--store", str(store.path)))
@@ -256,17 +250,14 @@ def test_a_node_of_a_cluster_that_hangs__is_given_up_like_one_that_died(
 
 @pytest.mark.fault
 def test_the_head_of_a_cluster_killed__the_sweep_says_so_in_a_summary_and_can_go_on(
-    node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
+    head: Head, tmp_path: Path
 ):
-    address = f"127.0.0.1:{free_port()}"
-    store = Store(tmp_path / "store")
-    head = node("--head", f"--port={address.partition(':')[2]}", "--include-dashboard=false")
-    until(lambda: len(descendants(head.pid)) > 2)
+    store, (address, process) = Store(tmp_path / "store"), head
     words = ("--steps", "1500", "--checkpoint-every", "100", "--store", str(store.path))
     command = sweep(*words, "--address", address)
     driver = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     until(lambda: len(beyond_a_checkpoint(store)) == 1)
-    end(head)
+    end(process)
     out, error = driver.communicate(timeout=WAIT_S)
     assert driver.returncode == 1
     assert "the head of the Ray cluster has not answered" in out

@@ -273,7 +273,7 @@ def blueprint(env: str, learner: str, *, drawn: bool = True) -> rrb.Blueprint:
         picture = _plot("Observations of the first evaluation episode", (f"{OBSERVED}/**",))
     profile = rrb.BarChartView(origin=PROFILE, name="Mean weight, oldest to newest transitions")
     own = LEARNERS[learner].charts if learner in LEARNERS else {}
-    shown = CURVES | own if online else {name: CURVES[name] for name in OF_ROAD}
+    shown = {**CURVES, **own} if online else {name: CURVES[name] for name in OF_ROAD}
     plots = [_plot(name, paths) for name, paths in shown.items()]
     # Offline there is a single fit: its metrics are a table, not curves.
     text = [] if online else [rrb.TextDocumentView(origin=FIT, name="Fit")]
