@@ -11,7 +11,6 @@ from PIL import Image
 
 from tom.errors import UserError
 from tom.record.files import read_json
-from tom.record.layout import STUDIES
 from tom.record.store import Store
 from tom.reports.report import WORDS
 
@@ -64,7 +63,7 @@ class Study:
 def folders(store: Path | str) -> tuple[Path, ...]:
     """The folders of studies: those of this machine, then those in the store."""
     try:
-        return FOLDER, Store(store).beside(STUDIES)
+        return FOLDER, Store(store).beside("studies")
     except UserError:  # a link, which is named among what is no run
         return (FOLDER,)
 

@@ -14,7 +14,6 @@ import streamlit as st
 from app import session, text
 from tom.errors import UserError
 from tom.record.files import read_json, replace_json
-from tom.record.layout import VIEWS
 from tom.record.store import Store
 
 CODE = re.compile(r"[0-9a-f]{8}")
@@ -26,7 +25,7 @@ def save(store: Path | str, page: str, query: str) -> str:
     Raises UserError if the store cannot be written.
     """
     code = hashlib.sha256(f"{page}?{query}".encode()).hexdigest()[:8]
-    folder = Store(store).beside(VIEWS)
+    folder = Store(store).beside(".views")
     try:
         folder.mkdir(exist_ok=True)
         replace_json(folder / f"{code}.json", {"page": page, "query": query}, sync=False)
@@ -38,7 +37,7 @@ def save(store: Path | str, page: str, query: str) -> str:
 def target(store: Path | str, code: str) -> str | None:
     """The address of a code on this server; None if there is no such view."""
     try:
-        path = Store(store).beside(VIEWS) / f"{code}.json"
+        path = Store(store).beside(".views") / f"{code}.json"
         if not CODE.fullmatch(code) or path.is_symlink():
             return None
         held = read_json(path)

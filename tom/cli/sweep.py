@@ -28,7 +28,7 @@ from tom.learners import LEARNERS
 from tom.machine.processes import on_stopping
 from tom.record import RunReader, Store, checkpoint
 from tom.record.thin import without_options
-from tom.sweep.backend import open_backend
+from tom.sweep.bucket import open_backend
 from tom.sweep.driver import ATTEMPTS, Driver, Job
 from tom.sweep.engine import open_engine, script
 from tom.sweep.projection import Cost, cost, makespan

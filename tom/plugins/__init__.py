@@ -13,8 +13,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from importlib.metadata import entry_points
 from itertools import pairwise
 from pathlib import Path
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from tom.errors import OF_USERS, UserError, reason
 from tom.harmless import terminal
+from tom.plugins.kept import CHARTS, OWNERS, PAGES
 
 if TYPE_CHECKING:
     from tom.config import RunConfig
@@ -30,10 +30,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CHARTS",
     "OPTION",
-    "OWNERS",
     "PAGES",
-    "Chart",
-    "Page",
     "Registry",
     "given",
     "load",
@@ -46,25 +43,6 @@ GROUP = "tom_studio"
 VARIABLE = "TOM_STUDIO_PLUGINS"
 """tells child processes which plug-ins the user named"""
 OPTION = "--plugin"
-
-Chart = Callable[[Sequence[Any], int], Any]
-"""(curves, height) -> a Plotly figure; a curve has `run_id`, `learner`, `step` and `value`."""
-
-
-@dataclass(frozen=True)
-class Page:
-    """A page of the studio from a plug-in, with the same attributes as a module of our pages."""
-
-    TITLE: str
-    ICON: str
-    PATH: str
-    page: Callable[[], None]
-
-
-CHARTS: dict[str, Chart] = {}
-PAGES: list[Page] = []
-OWNERS: dict[tuple[str, str], str] = {}
-"""(kind, name) of what plug-ins have registered -> the plug-in's name"""
 
 _LOADED: dict[str, str] = {}  # what was loaded -> the plug-in's name
 

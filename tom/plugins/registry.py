@@ -25,7 +25,7 @@ from tom.learners import LEARNERS, LearnerEntry
 from tom.learners.base import Learner
 from tom.learners.own import OwnLearner
 from tom.metrics import FATAL, METRICS, OURS
-from tom.plugins import CHARTS, OWNERS, PAGES, Chart, Page
+from tom.plugins.kept import CHARTS, OWNERS, PAGES, Chart, Page
 from tom.road.baselines import BASELINES
 
 NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,39}")

@@ -2,11 +2,9 @@
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Literal
 
-from tom.errors import UserError
 from tom.record import RunReader, Store, lock
 from tom.record.status import DEAD_AFTER_S
 
@@ -73,21 +71,3 @@ class FolderBackend:
         """Whether the run is to be left to its writer."""
         sign, since = self._seen.get(run_id, (None, 0.0))
         return sign is not None and self._clock() - since < self.lease_s
-
-
-def open_backend(
-    store: Path | str, run_ids: Sequence[str]
-) -> AbstractContextManager[FolderBackend]:
-    """The storage of these runs: a folder or s3://BUCKET/PREFIX.
-
-    Raises UserError if an object store cannot be reached.
-    """
-    if isinstance(store, Path):
-        return nullcontext(FolderBackend(Store(store)))
-    from tom.record.bucket import Bucket
-    from tom.sweep.bucket import BucketBackend
-
-    try:
-        return BucketBackend(Bucket.open(store), run_ids)
-    except OSError as error:
-        raise UserError(f"{store}: {error}") from error

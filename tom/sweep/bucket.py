@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from subprocess import TimeoutExpired
 from typing import Any, Literal
@@ -117,6 +117,21 @@ class BucketBackend(FolderBackend, AbstractContextManager["BucketBackend", None]
         except OSError as error:
             return f"none ({error})"
         return f"{self._bucket.url}/{name}"
+
+
+def open_backend(
+    store: Path | str, run_ids: Sequence[str]
+) -> AbstractContextManager[FolderBackend]:
+    """The storage of these runs: a folder or s3://BUCKET/PREFIX.
+
+    Raises UserError if an object store cannot be reached.
+    """
+    if isinstance(store, Path):
+        return nullcontext(FolderBackend(Store(store)))
+    try:
+        return BucketBackend(Bucket.open(store), run_ids)
+    except OSError as error:
+        raise UserError(f"{store}: {error}") from error
 
 
 class Worker:
