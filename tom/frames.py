@@ -89,8 +89,8 @@ class Run:
 
         Further columns, where they are known: `policy_distance` from each action to the mean action
         of the fit's policy, `error`, that of the run's last model, and the weights of other
-        learners for this buffer, named as by `tom.weigh`. Raises UserError as `weights`, and if the
-        buffer is not kept.
+        learners for these rows, as `tom.weigh` names them. Raises UserError as `weights`, and if
+        the buffer is not kept.
         """
         step = self.fit(step)
         weight = self.reader.snapshot(step)["weight"].to_numpy(np.float32)
@@ -104,8 +104,17 @@ class Run:
             )
         rows = record[end - len(weight) : end]
         names = dimension_names(self.reader.env, rows, _obs_names(self.reader))
-        more = self._distances(step, rows) | _errors(self.reader, rows)
-        more |= self._weighed(end, len(weight), len(record))
+        more: dict[str, NDArray] = {}
+        if self.reader.has_policy(step):
+            policy = read_policy(self.reader.path / layout.policy(step))
+            more[DISTANCE] = distances(policy.mean, rows.torch())
+        more |= _errors(self.reader, rows)
+        for path in weighing_files.of_run(self.reader.home.parent, self.name):
+            made = read_weighing(path)
+            at = made.report.get("step") or len(record)
+            same = made.report["rows"] == len(weight) and at == end
+            if same and not weighing_files.is_brush(made.report):
+                more |= {name: made.weights[name].to_numpy() for name in map(str, made.weights)}
         return row_table(record, weight, end, names, more)
 
     def fit(self, step: int | None = None) -> int:
@@ -117,22 +126,6 @@ class Run:
             steps = ", ".join(map(str, kept))
             raise UserError(f"run {self.name} kept no weights of step {step}: it kept {steps}")
         return kept[-1] if step is None else step
-
-    def _distances(self, step: int, rows: Transitions) -> dict[str, NDArray]:
-        if not self.reader.has_policy(step):
-            return {}
-        policy = read_policy(self.reader.path / layout.policy(step))
-        return {DISTANCE: distances(policy.mean, rows.torch())}
-
-    def _weighed(self, end: int, count: int, recorded: int) -> dict[str, NDArray]:
-        """The weights that weighings of the same rows made, the newest by name."""
-        found: dict[str, NDArray] = {}
-        for path in weighing_files.of_run(self.reader.home.parent, self.name):
-            made = read_weighing(path)
-            same = made.report["rows"] == count and (made.report.get("step") or recorded) == end
-            if same and not weighing_files.is_brush(made.report):
-                found |= {name: made.weights[name].to_numpy() for name in map(str, made.weights)}
-        return found
 
     def _repr_html_(self) -> str:
         return self.summary.to_frame().T.to_html()

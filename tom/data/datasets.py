@@ -334,8 +334,8 @@ def _assembled(path: Path, columns: Columns) -> Recording:
     never = np.zeros(len(kept), bool)
     rows = Transitions(obs[kept], action[kept], reward[kept], obs[kept + 1], never, ends[kept + 1])
     card = replace(take(rows, ordered=False), lost=int(terminated.sum()))
-    of_kept = [None if part is None else part[kept] for part in (version, behaviour)]
-    return Recording(rows, card, *of_kept)
+    version = None if version is None else version[kept]
+    return Recording(rows, card, version, None if behaviour is None else behaviour[kept])
 
 
 def _behaviour(path: Path, columns: Columns) -> NDArray[np.float32] | None:

@@ -3,8 +3,9 @@
 TensorBoard's event files and the CSV that Weights & Biases exports. Both are read as numbers only.
 """
 
+import re
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +30,6 @@ RETURNS = (
 STEPS = ("Step", "_step", "global_step", "env_step", "step")
 """columns of a CSV that count env steps"""
 
-Series = dict[str, dict[int, float]]
-"""by metric the value at each step; of several at one step the last"""
-
 
 def import_metrics(
     path: str | Path,
@@ -52,52 +50,39 @@ def import_metrics(
         found = _csv(path) if path.suffix == ".csv" else {"": _events(path)}
     except (OSError, ValueError, struct.error) as error:
         raise UserError(f"{path} cannot be read: {reason(error)}") from error
-    metrics = dict.fromkeys(metric for series in found.values() for metric in series)
+    metrics = dict.fromkeys(metric for table in found.values() for metric in table)
     if not metrics:
         raise UserError(f"{path} holds no scalars: give TensorBoard's events or W&B's CSV")
     if returned and returned not in metrics:
         raise UserError(f"{path} has no metric '{returned}': it has {', '.join(metrics)}")
-    named = {
-        _run_id(name, training or ("" if name else path.stem)): series
-        for training, series in found.items()
-    }
+    named = {}
+    for training, table in found.items():
+        words = "-".join(filter(None, (name, training or ("" if name else path.stem))))
+        named[re.sub(r"[^A-Za-z0-9._-]", "-", words)[:95]] = table
     place, known = Store(Path(store)), known_task(env)
     if taken := [run_id for run_id in named if place.resolve(run_id).exists()]:
         raise UserError(f"run '{taken[0]}' exists already: choose another --name")
-    for run_id, series in named.items():
-        last = max(step for values in series.values() for step in values)
-        given = {"imported": path.name}
+    for run_id, table in named.items():
+        last, given = int(table.index[-1]), {"imported": path.name}
         settings = OwnLoopConfig(env=known.name, steps=max(last, 1), own=given)
+        chosen = returned or next((metric for metric in RETURNS if metric in table), "")
         with opened(place, run_id, settings)[0] as recorder:
             # Steps before that of the status have no time: theirs is not known.
             recorder.consume(Tick(last + 1, "import"))
-            for step, values in _by_step(series, returned):
-                recorder.consume(Metrics(step, values))
+            for step, values in table.rename(columns={chosen: "eval/return"}).iterrows():
+                recorder.consume(Metrics(int(str(step)), values.dropna().to_dict()))
             recorder.consume(Tick(last, "import"))
     return list(named)
 
 
-def _run_id(*parts: str) -> str:
-    words = "-".join(filter(None, parts))
-    return "".join(c if c.isascii() and (c.isalnum() or c in "._-") else "-" for c in words)[:95]
-
-
-def _by_step(series: Series, returned: str) -> Iterator[tuple[int, dict[str, float]]]:
-    chosen = returned or next((metric for metric in RETURNS if metric in series), "")
-    names = {metric: "eval/return" if metric == chosen else metric for metric in series}
-    for step in sorted({step for values in series.values() for step in values}):
-        yield step, {names[m]: values[step] for m, values in series.items() if step in values}
-
-
-def _events(path: Path) -> Series:
+def _events(path: Path) -> pd.DataFrame:
+    """The metrics of event files by step; of several values at one step the last."""
     files = sorted(path.glob("*tfevents*")) if path.is_dir() else [path]
     if not files:
         raise UserError(f"{path} holds no event files of TensorBoard (*tfevents*)")
-    series: Series = {}
-    for file in files:
-        for step, metric, value in _scalars(file.read_bytes()):
-            series.setdefault(metric, {})[step] = value
-    return series
+    rows = [row for file in files for row in _scalars(file.read_bytes())]
+    table = pd.DataFrame(rows, columns=["step", "metric", "value"])
+    return table.pivot_table("value", "step", "metric", aggfunc="last")
 
 
 def _scalars(content: bytes) -> Iterable[tuple[int, str, float]]:
@@ -132,21 +117,18 @@ def _number(tensor) -> float | None:
     return float(stored[0]) if len(stored) == 1 else None
 
 
-def _csv(path: Path) -> dict[str, Series]:
+def _csv(path: Path) -> dict[str, pd.DataFrame]:
     """By training the metrics of a table: `Step` and `RUN - METRIC`, or a column a metric."""
     table = pd.read_csv(path)
     step = next((column for column in STEPS if column in table), None)
     if step is None:
         raise UserError(f"{path} has no column of steps: name it one of {', '.join(STEPS)}")
-    found: dict[str, Series] = {}
-    for column in table:
+    columns = {name: pd.to_numeric(table[name], errors="coerce") for name in table}
+    numbers = pd.DataFrame(columns).dropna(subset=[step])
+    found: dict[str, dict[str, pd.Series]] = {}
+    for column, values in numbers.astype({step: int}).groupby(step).last().items():
         training, dash, metric = str(column).rpartition(" - ")
         metric = metric if dash else str(column)
-        if column == step or metric.endswith(("__MIN", "__MAX")):
-            continue
-        pair = table[[step, column]].apply(pd.to_numeric, errors="coerce").dropna()
-        if len(pair):
-            numbers = pair.to_numpy(np.float64)
-            series = {int(at): float(value) for at, value in numbers}
-            found.setdefault(training, {})[metric] = series
-    return found
+        if not metric.endswith(("__MIN", "__MAX")) and values.notna().any():
+            found.setdefault(training, {})[metric] = values
+    return {name: pd.DataFrame(series).dropna(how="all") for name, series in found.items()}
