@@ -1,1 +1,1 @@
-"""Bridges to other libraries, none of which is imported here."""
+"""Bridges to other libraries: a module for each, which imports it."""

@@ -39,8 +39,6 @@ class _Recorded:
 
 
 class RecordEnv(_Recorded, gym.Wrapper):
-    """An environment whose steps are recorded."""
-
     def __init__(self, env: gym.Env, name: str, **options: Any) -> None:
         super().__init__(env)
         own: dict[str, Any] = {"env": env.spec.id} if env.spec else {}

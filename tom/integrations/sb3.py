@@ -7,22 +7,24 @@ The library keeps both in pickles, which are code. Here they become numbers and 
     sb3.export_buffer(model, "buffer.npz")
     sb3.export_policy(model, "policy.pt")
 
-`sb3.RecordCallback` (tom/integrations/sb3_callback.py) records a training while it runs, by the
-last functions here.
+`sb3.RecordCallback` records a training while it runs (docs/your-own-loop.md).
 """
 
 import warnings
-from collections.abc import Mapping
-from importlib import import_module
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import KVWriter
 from torch import Tensor
 
 from tom.errors import UserError
+from tom.own_loop.live import weigh_live
+from tom.own_loop.run import record
 
 Columns = dict[str, NDArray]
 OURS = {
@@ -33,12 +35,6 @@ OURS = {
 }
 """the library's names of what has a name here"""
 SETTINGS = ("learning_rate", "batch_size", "gamma", "tau", "buffer_size", "learning_starts")
-
-
-def __getattr__(name: str) -> Any:
-    if name != "RecordCallback":
-        raise AttributeError(f"module {__name__} has no {name}")
-    return import_module("tom.integrations.sb3_callback").RecordCallback
 
 
 def export_buffer(model: Any, path: str | Path) -> None:
@@ -80,7 +76,9 @@ def _rows_of(model: Any, buffer: Any, env: int) -> Columns:
     if not buffer.handle_timeout_termination:
         last = np.flatnonzero(done)
         length = np.diff(last, prepend=-1)
-        cut[last[length == _limit(model)]] = True
+        spec = model.get_env().get_attr("spec")[0] if model.get_env() else None
+        if spec is not None:
+            cut[last[length == spec.max_episode_steps]] = True
         if buffer.full:
             usable[: last[0] + 1 if len(last) else 0] = False
     if saving:
@@ -103,90 +101,104 @@ def _rows_of(model: Any, buffer: Any, env: int) -> Columns:
     return {name: values[usable] for name, values in columns.items()}
 
 
-def _limit(model: Any) -> int | None:
-    """The time limit of the model's task; None if it has none, or is not there any more."""
-    if model.get_env() is None:
-        return None
-    spec = model.get_env().get_attr("spec")[0]
-    return None if spec is None else spec.max_episode_steps
+class _Network(torch.nn.Module):
+    """An actor: SAC's mean and log standard deviation before the tanh; else actions, own units."""
 
-
-class _Gaussian(torch.nn.Module):
-    """SAC's actor: observations to mean and log standard deviation, before the tanh."""
-
-    def __init__(self, actor: Any) -> None:
+    def __init__(self, actor: Any, space: Any) -> None:
         super().__init__()
         self.actor = actor
+        self.low, self.high = torch.as_tensor(space.low), torch.as_tensor(space.high)
 
-    def forward(self, obs: Tensor) -> tuple[Tensor, Tensor]:
-        mean, log_std, _ = self.actor.get_action_dist_params(obs)
-        return mean, log_std
-
-
-class _Deterministic(torch.nn.Module):
-    """TD3's and DDPG's actor: observations to actions in the task's own units."""
-
-    def __init__(self, actor: Any, low: NDArray, high: NDArray) -> None:
-        super().__init__()
-        self.actor = actor
-        self.low, self.high = torch.as_tensor(low), torch.as_tensor(high)
-
-    def forward(self, obs: Tensor) -> Tensor:
+    def forward(self, obs: Tensor) -> Any:
+        if hasattr(self.actor, "get_action_dist_params"):
+            return self.actor.get_action_dist_params(obs)[:2]
         return self.low + 0.5 * (self.actor(obs) + 1) * (self.high - self.low)
 
 
 def export_policy(model: Any, path: str | Path) -> None:
     """Write the policy of SAC, TD3 or DDPG as TorchScript."""
-    actor = model.actor.cpu().eval()
-    gaussian = hasattr(actor, "get_action_dist_params")
-    bounds = model.action_space.low, model.action_space.high
-    network = _Gaussian(actor) if gaussian else _Deterministic(actor, *bounds)
+    network = _Network(model.actor.cpu().eval(), model.action_space)
     example = torch.zeros(1, *model.observation_space.shape)
     torch.jit.trace_module(network, {"forward": example}).save(str(path))
 
 
-def settings(model: Any) -> dict[str, Any]:
-    """What `tom.record` is told of a model in training, which goes on if it has learnt before.
+class RecordCallback(BaseCallback, KVWriter):
+    """A callback of `learn` that records rows, logged numbers, policies and replays.
 
-    The task only if it has a Gymnasium id.
+    Every `every` steps the policy is kept and plays `episodes`, and the learners `weigh` weigh the
+    buffer in a process of their own. `options` are those of `tom.record`; `run` is what it returns.
+    A model that has learnt before goes on with its run.
     """
-    env, kept = model.get_env(), {name: getattr(model, name, None) for name in SETTINGS}
-    numbers = {name: value for name, value in kept.items() if isinstance(value, int | float)}
-    spec, at = env.get_attr("spec")[0], model.num_timesteps
-    return {
-        **({"env": spec.id} if spec else {}),
-        **({"resume": "auto", "step": at} if at else {}),
-        "envs": env.num_envs,
-        "seed": model.seed or 0,
-        "steps": model._total_timesteps,
-        "config": {"algorithm": type(model).__name__, **numbers},
-    }
 
+    def __init__(
+        self,
+        name: str,
+        weigh: Sequence[str] = ("tom", "pmac"),
+        every: int = 5000,
+        episodes: int = 3,
+        **options: Any,
+    ) -> None:
+        super().__init__()
+        self._name, self._weigh, self._options = name, weigh, options
+        self._every, self._episodes = every, episodes
 
-def newest_obs(model: Any, obs: Any) -> NDArray:
-    """The observations (E, O) that a model in training has got, in the task's own units."""
-    normalised = model.get_vec_normalize_env()
-    return obs.copy() if normalised is None else normalised.get_original_obs()
+    def _on_training_start(self) -> None:
+        model: Any = self.model
+        env, self._kept = model.get_env(), model.num_timesteps
+        kept = {name: getattr(model, name, None) for name in SETTINGS}
+        numbers = {name: value for name, value in kept.items() if isinstance(value, int | float)}
+        options: dict[str, Any] = {
+            "envs": env.num_envs,
+            "seed": model.seed or 0,
+            "steps": model._total_timesteps,
+            "config": {"algorithm": type(model).__name__, **numbers},
+        }
+        if spec := env.get_attr("spec")[0]:
+            options["env"] = spec.id
+        if self._kept:
+            options |= {"resume": "auto", "step": self._kept}
+        self.run = record(self._name, **{**options, **self._options})
+        if self._weigh:
+            weigh_live(self.run, self._weigh, self._every)
+        self._normalised = model.get_vec_normalize_env()
+        self._obs = self._newest(model._last_obs)
+        self.logger.output_formats.append(self)
 
+    def _newest(self, obs: Any) -> NDArray:
+        """The observations (E, O) that the model has just got, in the task's own units."""
+        return obs.copy() if self._normalised is None else self._normalised.get_original_obs()
 
-def newest_steps(
-    model: Any, step: Mapping[str, Any]
-) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
-    """Action (E, A), reward, next_obs (E, O), terminated, truncated (E,) in the task's own units.
+    def _on_step(self) -> bool:
+        step, normalised = self.locals, self._normalised
+        reward = step["rewards"] if normalised is None else normalised.get_original_reward()
+        ended, infos, next_obs = step["dones"], step["infos"], self._newest(step["new_obs"])
+        for env in np.flatnonzero(ended):
+            last = infos[env]["terminal_observation"]
+            next_obs[env] = last if normalised is None else normalised.unnormalize_obs(last)
+        cut = ended & np.array([info.get("TimeLimit.truncated", False) for info in infos])
+        action = step.get("clipped_actions", step["actions"])
+        self.run.transitions(self._obs, action, reward, next_obs, ended & ~cut, cut)
+        self._obs = self._newest(step["new_obs"])
+        if self.num_timesteps >= self._kept + self._every:
+            self._keep()
+        return True
 
-    `step` are the locals of a callback.
-    """
-    normalised, ended, infos = model.get_vec_normalize_env(), step["dones"], step["infos"]
-    reward = step["rewards"] if normalised is None else normalised.get_original_reward()
-    next_obs = newest_obs(model, step["new_obs"])
-    for env in np.flatnonzero(ended):
-        last = infos[env]["terminal_observation"]
-        next_obs[env] = last if normalised is None else normalised.unnormalize_obs(last)
-    cut = ended & np.array([info.get("TimeLimit.truncated", False) for info in infos])
-    return step.get("clipped_actions", step["actions"]), reward, next_obs, ended & ~cut, cut
+    def _on_training_end(self) -> None:
+        self._keep()
+        self.logger.output_formats.remove(self)
+        self.run.close()
 
+    def _keep(self) -> None:
+        self._kept = self.num_timesteps
+        self.run.policy(self._kept, self.model)
+        if self._episodes:
+            self.run.evaluate(self._kept, self._episodes)
 
-def logged(values: Mapping[str, Any]) -> dict[str, float]:
-    """The numbers that the library logs, but its times, under the names that they have here."""
-    numbers = {k: v for k, v in values.items() if isinstance(v, float | int | np.number)}
-    return {OURS.get(k, k): float(v) for k, v in numbers.items() if not k.startswith("time/")}
+    def write(self, key_values: Any, key_excluded: Any, step: int = 0) -> None:
+        """Record the numbers that the library logs, but its times."""
+        numbers = {
+            OURS.get(str(name), str(name)): value
+            for name, value in key_values.items()
+            if isinstance(value, float | int | np.number) and not str(name).startswith("time/")
+        }
+        self.run.metrics(step, numbers)

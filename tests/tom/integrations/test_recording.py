@@ -33,9 +33,9 @@ def pendulum(limit: int = 30) -> gymnasium.Env:
     return gymnasium.make("Pendulum-v1", max_episode_steps=limit)
 
 
-@pytest.mark.parametrize("kind", [SAC, TD3])
-@pytest.mark.parametrize("normalised", [False, True])
-@pytest.mark.parametrize("envs", [1, 2])
+@pytest.mark.parametrize(
+    ("kind", "normalised", "envs"), [(SAC, False, 1), (SAC, True, 2), (TD3, True, 1)]
+)
 def test_a_training_of_sb3_is_recorded_as_it_is(kind, normalised, envs, tmp_path: Path):
     env: Any = DummyVecEnv([pendulum] * envs)
     env = VecNormalize(env) if normalised else env
