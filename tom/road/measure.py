@@ -13,7 +13,7 @@ from tom.events import Episode
 from tom.exams.diagnostics import weight_metrics
 from tom.road import offline_data, task
 from tom.road.offline_data import OfflineData, Steering
-from tom.road.planner import Planner
+from tom.road.planner import planned
 
 TEST_ROWS = 10_000  # fresh random transitions over the whole map
 TEST_TRAJECTORIES = 10  # fresh expert trajectories
@@ -87,7 +87,7 @@ def reference_returns(road_map: task.RoadMap, generator: torch.Generator) -> dic
 
 def plan(model: LinearModel, discount: float) -> Steering:
     """The planner's policy in a learnt model."""
-    return Planner(model.next_obs, task.reward, task.at_goal, discount).steering()
+    return planned(model.next_obs, task.reward, task.at_goal, discount)[1]
 
 
 # Pictures: arrays described in docs/run-folder.md

@@ -45,17 +45,11 @@ def random_walks(road_map: RoadMap, rows: int, generator: torch.Generator) -> Te
         fresh = torch.rand(walks, task.OBS_DIM, generator=generator)
         obs = torch.where(row.terminated[:, None] > 0, fresh, row.next_obs)
     steps[-1].truncated.copy_(1 - steps[-1].terminated)
-    cut = _stack_by_walk(steps)[:rows]
+    names = TensorTransitions.__dataclass_fields__  # T batches (B, ...) to (B T, ...), by walk
+    by_walk = (torch.stack([getattr(s, n) for s in steps], 1).flatten(0, 1) for n in names)
+    cut = TensorTransitions(*by_walk)[:rows]
     cut.truncated[-1] = 1 - cut.terminated[-1]
     return cut
-
-
-def _stack_by_walk(steps: list[TensorTransitions]) -> TensorTransitions:
-    """Rows of T batches (B, ...) in the order walk, step: (B T, ...)."""
-    names = TensorTransitions.__dataclass_fields__
-    return TensorTransitions(
-        *(torch.stack([getattr(s, n) for s in steps], 1).flatten(0, 1) for n in names)
-    )
 
 
 def noisy_expert(generator: torch.Generator) -> Steering:
