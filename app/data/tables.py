@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from app.theme import learner_label
 from tom.analysis.curves import Curve, Group
 from tom.analysis.scores import BEST, FINAL, common_step, interval, scores_of, steps_to
-from tom.analysis.settings import Made, differences
+from tom.analysis.settings import differences
+from tom.record.reader import RunReader
 
 REACH = 0.8
 """the default level of `steps to reach`, as a share of the way from the worst to the best score"""
@@ -114,7 +115,7 @@ def reached(
     return pd.DataFrame(rows)
 
 
-def settings(runs: Sequence[Made], names: Sequence[str]) -> pd.DataFrame:
+def settings(runs: Sequence[RunReader], names: Sequence[str]) -> pd.DataFrame:
     """One row per setting in which the runs differ, one column per run."""
     seen: Counter[str] = Counter()
     columns = []

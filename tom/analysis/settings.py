@@ -6,11 +6,13 @@ A page and a report group here, so that they cannot disagree.
 import math
 import re
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from contextlib import suppress
+from typing import NamedTuple
 
 from tom.config import Settings, in_words
 from tom.errors import UserError
 from tom.learners import others_groups
+from tom.record import RunReader
 from tom.training.presets import resolve
 
 # They do not change a run's numbers, or at most its length.
@@ -19,27 +21,7 @@ NO_MATTER |= {"device", "matmul", "env", "learner", "preset"}
 NONE = "-"
 
 
-class WithPreset(Protocol):
-    """The task, learner and preset of a run or a group of runs."""
-
-    @property
-    def env(self) -> str: ...
-    @property
-    def learner(self) -> str: ...
-    @property
-    def preset(self) -> str: ...
-
-
-class Made(WithPreset, Protocol):
-    """A run with its settings: a `RunReader`, or a page's `RunInfo`."""
-
-    @property
-    def run_id(self) -> str: ...
-    @property
-    def settings(self) -> Settings: ...
-
-
-def differences(runs: Sequence[Made]) -> dict[str, list[str]]:
+def differences(runs: Sequence[RunReader]) -> dict[str, list[str]]:
     """The settings in which the runs differ: path to the values, in the order of the runs."""
     settings = [run.settings for run in runs]
     paths = sorted({path for one in settings for path in one})
@@ -47,7 +29,7 @@ def differences(runs: Sequence[Made]) -> dict[str, list[str]]:
     return {path: words for path, words in rows.items() if len(set(words)) > 1}
 
 
-def telling_presets(kinds: Sequence[WithPreset]) -> list[str]:
+def telling_presets(kinds: Sequence[RunReader]) -> list[str]:
     """The preset of each, empty if its learner has only one preset in its task."""
     used: dict[tuple[str, str], set[str]] = {}
     for one in kinds:
@@ -55,13 +37,13 @@ def telling_presets(kinds: Sequence[WithPreset]) -> list[str]:
     return [one.preset if len(used[one.env, one.learner]) > 1 else "" for one in kinds]
 
 
-def variants(runs: Sequence[Made]) -> dict[str, str]:
+def variants(runs: Sequence[RunReader]) -> dict[str, str]:
     """For each run id, its differences from the runs of the same environment, learner and preset.
 
     Empty if only the seed differs. Settings that a run's version did not have yet do not count, nor
     do settings of other learners. A value that is the preset's own is not named.
     """
-    kinds: dict[tuple[str, str, str], list[Made]] = {}
+    kinds: dict[tuple[str, str, str], list[RunReader]] = {}
     for run in runs:
         kinds.setdefault((run.env, run.learner, run.preset), []).append(run)
     variant_of: dict[str, str] = {}
@@ -71,28 +53,21 @@ def variants(runs: Sequence[Made]) -> dict[str, str]:
             for path, words in differences(members).items()
             if matters(path, learner) and len(set(words) - {NONE}) > 1
         }
-        own = _known_preset(env, learner, preset) if apart else {}
+        own: Settings = {}
+        with suppress(UserError):  # a task, learner or preset that is not known here
+            own = in_words(resolve(env, learner, preset).model_dump(mode="json"))
         for i, run in enumerate(members):
             words = [f"{path} {of[i]}" for path, of in apart.items() if of[i] != own.get(path)]
             variant_of[run.run_id] = ", ".join(words)
     return variant_of
 
 
-def _known_preset(env: str, learner: str, preset: str) -> Settings:
-    """The settings of a preset; empty if the task, learner or preset is not known here."""
-    try:
-        return in_words(resolve(env, learner, preset).model_dump(mode="json"))
-    except UserError:
-        return {}
-
-
-def changed(run: Made) -> dict[str, str]:
+def changed(run: RunReader) -> dict[str, str]:
     """The settings in which a run differs from its preset: path to value.
 
     Only settings that matter to its learner and exist both in this version and in the run's.
     """
-    preset = resolve(run.env, run.learner, run.preset).model_dump(mode="json")
-    usual = in_words(preset)
+    usual = in_words(resolve(run.env, run.learner, run.preset).model_dump(mode="json"))
     return {
         path: words
         for path, words in run.settings.items()
@@ -100,21 +75,19 @@ def changed(run: Made) -> dict[str, str]:
     }
 
 
-def unlike(runs: Sequence[Made]) -> list[str]:
+def unlike(runs: Sequence[RunReader]) -> list[str]:
     """Paths of the settings that not all of these runs have, or have changed, in the same way.
 
     Learners differ by their own settings, and so do two presets of one: those count only if a run
     has changed them.
     """
-    every = [(_shared(run), changed(run)) for run in runs]
+    every = []
+    for run in runs:
+        preset = in_words(resolve(run.env, "mle", run.preset).model_dump(mode="json"))
+        shared = {path: words for path, words in preset.items() if matters(path, "mle")}
+        every.append((shared, changed(run)))
     paths = sorted({path for one in every for part in one for path in part})
     return [p for p in paths if len({(of.get(p), new.get(p)) for of, new in every}) > 1]
-
-
-def _shared(run: Made) -> dict[str, str]:
-    """The settings of a run's preset that belong to no learner: path to value."""
-    preset = in_words(resolve(run.env, "mle", run.preset).model_dump(mode="json"))
-    return {path: words for path, words in preset.items() if matters(path, "mle")}
 
 
 def matters(path: str, learner: str) -> bool:
@@ -136,7 +109,7 @@ class Kind(NamedTuple):
     """settings and their values, in words"""
 
 
-def choices(runs: Sequence[Made]) -> list[str]:
+def choices(runs: Sequence[RunReader]) -> list[str]:
     """The ways to group `runs`: as usual, or by a setting in which some of them differ.
 
     The environment is not among them, because no figure has runs of two. A setting of only some
@@ -153,7 +126,7 @@ def choices(runs: Sequence[Made]) -> list[str]:
     return [USUAL, *first, *sorted(paths.difference(first))]
 
 
-def kinds_of(runs: Sequence[Made], by: str = USUAL) -> dict[str, Kind]:
+def kinds_of(runs: Sequence[RunReader], by: str = USUAL) -> dict[str, Kind]:
     """The kind of each run, by its id.
 
     If they are grouped by a setting, runs with the same value form a group, even if they differ
@@ -164,14 +137,13 @@ def kinds_of(runs: Sequence[Made], by: str = USUAL) -> dict[str, Kind]:
         return {run.run_id: Kind(learner=run.learner) for run in runs}
     if by == "preset":
         return {run.run_id: Kind(preset=run.preset) for run in runs}
-    apart = variants(runs)
-    usual = {run.run_id: Kind(run.learner, run.preset, apart[run.run_id]) for run in runs}
-    if by == USUAL:
-        return usual
-    return {
-        run.run_id: Kind(variant=f"{by} {words}") if (words := _of(run, by)) else usual[run.run_id]
-        for run in runs
-    }
+    apart, found = variants(runs), {}
+    for run in runs:
+        found[run.run_id] = Kind(run.learner, run.preset, apart[run.run_id])
+        words = run.settings.get(by, NONE)
+        if words != NONE and by.partition(".")[0] not in others_groups(run.learner):
+            found[run.run_id] = Kind(variant=f"{by} {words}")
+    return found
 
 
 def number(kind: Kind, by: str) -> float | None:
@@ -187,10 +159,3 @@ def natural(words: str) -> list[tuple[float, str]]:
     """A sort key in which 64 comes before 128."""
     parts = enumerate(_NUMBER.split(words))
     return [(float(part), "") if i % 2 else (-1.0, part) for i, part in parts]
-
-
-def _of(run: Made, path: str) -> str:
-    """The value of a setting in words; empty if the run has none or its learner ignores it."""
-    words = run.settings.get(path, NONE)
-    mine = path.partition(".")[0] not in others_groups(run.learner)
-    return words if mine and words != NONE else ""

@@ -1,6 +1,7 @@
 """Which runs are put together, and by what."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ class Run:
     env: str = "ant"
 
 
-RUNS = [
+RUNS: list[Any] = [
     Run("a", {"seed": "0", "tom.flow": "discounted", "model.hidden": "64", "env": "ant"}),
     Run("b", {"seed": "1", "tom.flow": "discounted", "model.hidden": "128", "env": "hopper"}),
     Run("c", {"seed": "0", "tom.flow": "stationary", "model.hidden": "64"}, preset="mended"),
