@@ -46,16 +46,12 @@ def index(runs: Sequence[RunReader], weighings: Sequence[Path]) -> str:
     parts, settings = [HEAD], variants(runs)
     for env, group in groupby(runs, key=lambda run: run.env):
         of = list(group)
-        parts += [
-            f"## {markdown(env)}\n",
-            _table(_row(run, settings[run.run_id]) for run in of),
-            _made([run.config for run in of]),
-        ]
+        rows = [_row(run, settings[run.run_id]) for run in of]
+        parts += _section(env, rows, [run.config for run in of])
     if weighings:
         reports = [read_json(path / REPORT) for path in weighings]
-        rows = map(_weighing, weighings, reports)
         made = [report.get("made", {}) for report in reports]
-        parts += ["## Weighings\n", _table(rows), _made(made)]
+        parts += _section("Weighings", map(_weighing, weighings, reports), made)
     return "\n".join(parts)
 
 
@@ -80,7 +76,8 @@ def write(path: Path, page: str) -> None:
 
 def _row(run: RunReader, settings: str) -> dict[str, str]:
     """The row of a run; `settings` in which it differs from others of its preset, in words."""
-    status = run.status
+    status, config = run.status, run.config
+    trained = (made.get("git_commit") for made in (config, *config.get("resumes", ())))
     return {
         "run": code(run.run_id),
         "learner": _label(run.learner),
@@ -90,34 +87,39 @@ def _row(run: RunReader, settings: str) -> dict[str, str]:
         "final return": readable.score(status.last_return),
         "best return": readable.score(status.best_return),
         "hours": f"{run_hours(run):.2f}",
-        "commit": ", ".join(_commits(run)),
+        "commit": ", ".join(dict.fromkeys(map(_commit, trained))),
     }
 
 
 def _weighing(path: Path, report: Mapping[str, Any]) -> dict[str, str]:
-    learners = dict.fromkeys(_label(row["learner"]) for row in report["results"])
-    made = report.get("made", {})
+    made, results = report.get("made", {}), report["results"]
     return {
         "weighing": code(path.name),
         "buffer of": code(report["data"]),
         "by the policy of": code(report["policy"]),
-        "learners": ", ".join(learners),
-        "seeds": seeds([row["seed"] for row in report["results"]]),
+        "learners": ", ".join(dict.fromkeys(_label(row["learner"]) for row in results)),
+        "seeds": seeds([row["seed"] for row in results]),
         "rows": f"{report['rows']:,}",
         "hours": f"{made['hours']:.2f}" if "hours" in made else "-",
         "commit": _commit(made.get("git_commit")),
     }
 
 
-def _made(origins: Sequence[Mapping[str, Any]]) -> str:
-    """The distinct commands, with the seed as N, and versions."""
+def _section(
+    title: str, rows: Iterable[Mapping[str, str]], origins: Sequence[Mapping[str, Any]]
+) -> list[str]:
+    """A table, then the distinct commands, with the seed as N, and versions."""
+    listed = list(rows)
+    lines = [list(listed[0]), ["---"] * len(listed[0]), *(list(row.values()) for row in listed)]
+    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
     commands = dict.fromkeys(short_command(str(made.get("command", ""))) for made in origins)
     versions = dict.fromkeys(
         ", ".join(f"{name} {text}" for name, text in made.get("versions", {}).items())
         for made in origins
     )
     block = fenced("\n".join(commands), "bash")
-    return f"{block}\nMade with {markdown('; '.join(versions))}.\n"
+    made_with = f"Made with {markdown('; '.join(versions))}.\n"
+    return [f"## {markdown(title)}\n", f"{table}\n", f"{block}\n{made_with}"]
 
 
 def short_command(command: str) -> str:
@@ -130,13 +132,6 @@ def short_command(command: str) -> str:
     return re.sub(r"(?<= --seed )\d+\b", "N", shlex.join(words))
 
 
-def _commits(run: RunReader) -> list[str]:
-    """The commits of the code that trained a run: of its start and of its resumes."""
-    resumes = run.config.get("resumes", [])
-    commits = [run.config.get("git_commit"), *(resume.get("git_commit") for resume in resumes)]
-    return list(dict.fromkeys(_commit(commit) for commit in commits))
-
-
 def _commit(commit: object) -> str:
     text = str(commit or "unknown")
     return markdown(text[:COMMIT]) + ("-dirty" if text.endswith("-dirty") else "")
@@ -144,9 +139,3 @@ def _commit(commit: object) -> str:
 
 def _label(learner: str) -> str:
     return LEARNERS[learner].label if learner in LEARNERS else markdown(learner)
-
-
-def _table(rows: Iterable[Mapping[str, str]]) -> str:
-    listed = list(rows)
-    lines = [list(listed[0]), ["---"] * len(listed[0]), *(list(row.values()) for row in listed)]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"

@@ -7,7 +7,7 @@ import pytest
 
 from tom.cli import main
 from tom.record import Store
-from tom.reports.index import _commit, _commits, index, short_command, small_copies
+from tom.reports.index import index, short_command, small_copies
 
 TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun", "--steps", "250"]
 
@@ -54,10 +54,8 @@ def test_small_copies_alone_are_listed_with_their_numbers(tmp_path: Path, capsys
 
 
 def test_the_commits_of_resumes_are_told_too(tmp_path: Path):
-    store = Store(tmp_path)
     assert main([*TRAIN, "--learner", "mle", "--store", str(tmp_path), "--run-id", "one"]) == 0
-    made = store.run("one").config["git_commit"]
-    resumes = [{"git_commit": made}, {"git_commit": "0123456789abcdef-dirty"}]
-    config = {**store.run("one").config, "resumes": resumes}
-    (tmp_path / "one" / "config.json").write_text(json.dumps(config))
-    assert _commits(store.run("one")) == [_commit(made), "0123456789-dirty"]
+    config = Store(tmp_path).run("one").config
+    resumes = [{"git_commit": config["git_commit"]}, {"git_commit": "0123456789abcdef-dirty"}]
+    (tmp_path / "one" / "config.json").write_text(json.dumps({**config, "resumes": resumes}))
+    assert ", 0123456789-dirty |" in index([Store(tmp_path).run("one")], [])
