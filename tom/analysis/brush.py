@@ -8,7 +8,7 @@ are in a training. Both are tested on held-out episodes.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import inf
+from math import inf, nan
 
 import numpy as np
 import torch
@@ -38,20 +38,6 @@ SMALL = ModelConfig(hidden=32, layers=2, components=1, rounds=8)
 
 
 @dataclass(frozen=True)
-class Brush:
-    """N transitions, their weights and the region whose weights are to be changed."""
-
-    rows: TensorTransitions  # (N,) oldest first
-    weights: Tensor  # (N,) as they are, mean 1
-    region: Tensor  # (N,) bool
-    fresh: TensorTransitions | None = None  # fresh transitions of the policy of interest
-
-    def __post_init__(self) -> None:
-        if not bool(self.region.any()) or bool(self.region.all()):
-            raise UserError("the region must hold some of the buffer's transitions, not all")
-
-
-@dataclass(frozen=True)
 class BrushedFit:
     """A model fitted with brushed weights (N,) under one seed.
 
@@ -76,9 +62,8 @@ def check_factor(factor: float) -> None:
 def brushed(weights: Tensor, region: Tensor, factor: float) -> Tensor:
     """The weights (N,), multiplied by `factor` in the region (N,), then scaled to mean 1.
 
-    Raises UserError for an impossible factor, or if all weights would be zero.
+    Raises UserError if all weights would be zero.
     """
-    check_factor(factor)
     normalised, degenerate = normalise(torch.where(region, factor * weights, weights))
     if degenerate:
         raise UserError("all of the weight lies in the region: nothing is left without it")
@@ -86,44 +71,47 @@ def brushed(weights: Tensor, region: Tensor, factor: float) -> Tensor:
 
 
 def fits(
-    brush: Brush, config: ModelConfig, factors: Sequence[float], seeds: Sequence[int]
+    rows: TensorTransitions,
+    weights: Tensor,
+    region: Tensor,
+    fresh: TensorTransitions | None,
+    config: ModelConfig,
+    factors: Sequence[float],
+    seeds: Sequence[int],
 ) -> Iterator[BrushedFit]:
     """Fit a model for every seed and factor and yield each when it is ready; factor 1 comes first.
 
-    A seed fixes the held-out episodes and all random draws of a fit, so that factors compare.
+    `rows` are oldest first, with their weights (N,) of mean 1, and the region a mask (N,); `fresh`
+    are new transitions of the policy of interest. A seed fixes the held-out episodes and all random
+    draws of a fit, so that factors compare. Raises UserError if nothing or all is in the region, or
+    nothing with a weight is left to fit to.
     """
-    every = list(dict.fromkeys((AS_IT_IS, *factors)))
-    weights = {factor: brushed(brush.weights, brush.region, factor) for factor in every}
-    scale = step_scale(brush.rows)
+    if not bool(region.any()) or bool(region.all()):
+        raise UserError("the region must hold some of the buffer's transitions, not all")
+    every = {factor: brushed(weights, region, factor) for factor in (AS_IT_IS, *factors)}
+    scale = step_scale(rows)
     for seed in seeds:
-        held_out = held_out_rows(brush.rows, HELD_OUT, Streams(seed).torch("held out"))
+        held_out = held_out_rows(rows, HELD_OUT, Streams(seed).torch("held out"))
         kept = (~held_out).nonzero().squeeze(1)
-        for factor in every:
-            own, degenerate = normalise(weights[factor][kept])
+        judged = {
+            REGION: rows[(held_out & region).nonzero().squeeze(1)],
+            REST: rows[(held_out & ~region).nonzero().squeeze(1)],
+        }
+        if fresh is not None:
+            judged[POLICY] = fresh
+        for factor, of_all in every.items():
+            own, degenerate = normalise(of_all[kept])
             if degenerate:
                 raise UserError(
                     "the episodes that are left to fit to have no weight: draw another region"
                 )
             # Clipped for the fit, as TOM's are in a training.
-            weighting = Weighting(own, clipped=True)
-            model = fit_model(brush.rows[kept], weighting, config, seed)
-            errors = _errors(model, brush, held_out, scale)
-            yield BrushedFit(factor, seed, weights[factor].numpy(), errors, model)
-
-
-def _errors(
-    model: DynamicsModel, brush: Brush, held_out: Tensor, scale: Tensor
-) -> dict[str, float]:
-    judged = {
-        REGION: brush.rows[(held_out & brush.region).nonzero().squeeze(1)],
-        REST: brush.rows[(held_out & ~brush.region).nonzero().squeeze(1)],
-    }
-    if brush.fresh is not None:
-        judged[POLICY] = brush.fresh
-    return {
-        name: one_step_error(model, rows, scale) if len(rows) else float("nan")
-        for name, rows in judged.items()
-    }
+            model = fit_model(rows[kept], Weighting(own, clipped=True), config, seed)
+            errors = {
+                name: one_step_error(model, some, scale) if len(some) else nan
+                for name, some in judged.items()
+            }
+            yield BrushedFit(factor, seed, of_all.numpy(), errors, model)
 
 
 def ghosts(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from tom.analysis import brush
-from tom.analysis.brush import FACTORS, SMALL, Brush, BrushedFit
+from tom.analysis.brush import FACTORS, SMALL, BrushedFit
 from tom.analysis.ordered_data import find_run, of_run
 from tom.analysis.weighing import load_policy, made_anew
 from tom.cli.parser import add_json, add_store, one_line, whole
@@ -88,12 +88,12 @@ def run(args: argparse.Namespace) -> int:
         policy = load_policy(str(reader.path), store, known, args.step)
         episodes = made_anew(known, policy, FRESH, min(args.seeds), "fresh episodes")
         fresh = episodes.transitions.torch()
-    work = Brush(data.transitions, torch.tensor(weights), torch.from_numpy(region), fresh)
+    work = data.transitions, torch.tensor(weights), torch.from_numpy(region), fresh
     name, seeds = f"{reader.run_id}-brushed", list(dict.fromkeys(args.seeds))
     weighing_files.check_free(args.out or store.new_weighing(name))
     begun, models = perf_counter(), list[BrushedFit]()
     total = len(dict.fromkeys((brush.AS_IT_IS, *args.factors))) * len(seeds)
-    for one in brush.fits(work, config, args.factors, seeds):
+    for one in brush.fits(*work, config, args.factors, seeds):
         models.append(one)
         text = f"model {len(models)} of {total}: region x {one.factor:g}, seed {one.seed}"
         print(text, file=sys.stderr, flush=True)
@@ -118,8 +118,8 @@ def run(args: argparse.Namespace) -> int:
         },
     }
     ghosts = _ghosts(reader, models, args.step)
-    with weighing_files.place(args.out, store, name) as out:
-        weighing_files.write_brush(out, region, models, report, ghosts)
+    out = args.out or store.make_weighing(name)
+    weighing_files.write_brush(out, region, models, report, ghosts)
     print(json.dumps({"out": str(out)}) if args.json else out)
     return 0
 

@@ -1,10 +1,13 @@
 """A region's weights multiplied, and what a model fitted by them loses or gains."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 import torch
 
-from tom.analysis.brush import REGION, REST, SMALL, Brush, brushed, fits
+from tom.analysis.brush import REGION, REST, SMALL, BrushedFit, brushed, check_factor, fits
+from tom.config import ModelConfig
 from tom.data.transitions import TensorTransitions
 from tom.errors import UserError
 
@@ -22,9 +25,9 @@ def bent(count: int = 1200) -> TensorTransitions:
     return TensorTransitions(obs, action, zero, obs + step, zero, ended)
 
 
-def brush() -> Brush:
+def fitted(config: ModelConfig, factors: Sequence[float], *seeds: int) -> list[BrushedFit]:
     rows = bent()
-    return Brush(rows, torch.ones(len(rows)), rows.obs[:, 0] > 0)
+    return list(fits(rows, torch.ones(len(rows)), rows.obs[:, 0] > 0, None, config, factors, seeds))
 
 
 def test_the_region_is_multiplied_and_the_mean_stays_one():
@@ -43,18 +46,17 @@ def test_nothing_left_is_refused():
         brushed(weights, region, 0)
     rows = bent(40)
     with pytest.raises(UserError, match="not all"):
-        Brush(rows, torch.ones(40), torch.ones(40, dtype=torch.bool))
+        next(fits(rows, torch.ones(40), torch.ones(40, dtype=torch.bool), None, QUICK, (), (0,)))
 
 
 @pytest.mark.parametrize("factor", [-1.0, float("nan"), float("inf")])
 def test_a_factor_that_is_none_is_refused(factor: float):
-    weights, region = torch.tensor([1.0, 1.0]), torch.tensor([True, False])
-    with pytest.raises(UserError, match="must be a finite number, at least 0"):
-        brushed(weights, region, factor)
+    with pytest.raises(UserError):
+        check_factor(factor)
 
 
 def test_a_region_that_counts_less_is_modelled_worse_and_the_rest_better():
-    found = {(f.factor, f.seed): f.errors for f in fits(brush(), QUICK, (0, 0.25, 4), (0, 1))}
+    found = {(f.factor, f.seed): f.errors for f in fitted(QUICK, (0, 0.25, 4), 0, 1)}
     for seed in (0, 1):
         as_is, without, less, more = (found[factor, seed] for factor in (1, 0, 0.25, 4))
         assert without[REGION] > less[REGION] > as_is[REGION] > more[REGION]
@@ -62,7 +64,7 @@ def test_a_region_that_counts_less_is_modelled_worse_and_the_rest_better():
 
 
 def test_the_same_seed_gives_the_same_bits():
-    one, again = (list(fits(brush(), SMALL.but(rounds=1), (4,), (3,))) for _ in range(2))
+    one, again = (fitted(SMALL.but(rounds=1), (4,), 3) for _ in range(2))
     assert [f.factor for f in one] == [1, 4]
     assert [f.errors for f in one] == [f.errors for f in again]
     assert np.array_equal(one[1].weights, again[1].weights)
