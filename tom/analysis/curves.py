@@ -170,7 +170,13 @@ def aggregate(
         middle[count == n] = statistics.STATISTICS[statistic](columns.T) if n else np.nan
     low, high = np.full(len(grid), np.nan), np.full(len(grid), np.nan)
     if len(curves) > 1 and complete.any():
-        low[complete], high[complete] = _band(values[:, complete], statistic, band)
+        known = values[:, complete]  # (n, T)
+        if band == "bootstrap":
+            bounds = statistics.band(known, statistics.STATISTICS[statistic], RESAMPLES)
+            low[complete], high[complete] = bounds
+        elif band == "deviation":
+            mean, deviation = known.mean(0), known.std(0, ddof=1)
+            low[complete], high[complete] = mean - deviation, mean + deviation
     learner, preset, variant = curves[0].kind
     return Group(
         curves[0].env, learner, preset, tuple(curves), grid, middle, low, high, count,
@@ -195,24 +201,10 @@ def smoothed(group: Group, window: int) -> Group:
     ends = np.flatnonzero(np.diff(group.complete)) + 1
 
     def moving(value: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.concatenate([_moving(part, window) for part in np.split(value, ends)])
+        means = [
+            pd.Series(part).rolling(window, center=True, min_periods=1).mean()
+            for part in np.split(value, ends)
+        ]
+        return np.where(np.isfinite(value), np.concatenate(means), np.nan)
 
     return replace(group, mean=moving(group.mean), low=moving(group.low), high=moving(group.high))
-
-
-def _band(
-    values: NDArray[np.float64], statistic: Statistic, band: Band
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Low and high (T,) of values (n, T)."""
-    if band == "bootstrap":
-        return statistics.band(values, statistics.STATISTICS[statistic], RESAMPLES)
-    if band == "deviation":
-        mean, spread = values.mean(0), values.std(0, ddof=1)
-        return mean - spread, mean + spread
-    nothing = np.full(values.shape[1], np.nan)
-    return nothing, nothing
-
-
-def _moving(value: NDArray[np.float64], window: int) -> NDArray[np.float64]:
-    mean = pd.Series(value).rolling(window, center=True, min_periods=1).mean()
-    return np.where(np.isfinite(value), np.asarray(mean, np.float64), np.nan)

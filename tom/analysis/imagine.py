@@ -1,7 +1,6 @@
 """A run's dynamics model predicts a recorded episode, given the recorded actions."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -59,23 +58,20 @@ def stored_model(run: RunReader) -> StoredModel:
         why = "left out of this small copy" if small else "it has no checkpoint that is whole"
         raise UserError(f"run '{run.run_id}' kept no dynamics model: {why}")
     try:
-        return StoredModel(held.env_step, _predictor(run, held.state["training"]))
+        state = held.state["training"]
+        if run.env == ROAD:
+            return StoredModel(held.env_step, RoadModel(LinearModel(state["coefficients"])))
+        known = task_of(run)
+        # Only the model's settings: other groups may differ in another version.
+        config = ModelConfig.model_validate(run.config["config"]["model"])
+        model = make_model(known.obs_dim, known.action_dim, config, torch.Generator())
+        model.load_parameters(state["model"])
+        return StoredModel(held.env_step, model)
     except (LookupError, RuntimeError, ValueError, TypeError, AttributeError) as error:
         raise UserError(
             f"the model in the checkpoint of run '{run.run_id}' is another version's: "
             f"{reason(error)}"
         ) from None
-
-
-def _predictor(run: RunReader, state: dict[str, Any]) -> Predictor:
-    if run.env == ROAD:
-        return RoadModel(LinearModel(state["coefficients"]))
-    known = task_of(run)
-    # Only the model's settings: other groups may differ in another version.
-    config = ModelConfig.model_validate(run.config["config"]["model"])
-    model = make_model(known.obs_dim, known.action_dim, config, torch.Generator())
-    model.load_parameters(state["model"])
-    return model
 
 
 @torch.no_grad()

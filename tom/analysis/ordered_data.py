@@ -58,10 +58,13 @@ def load_data(
     `env` names the task of a dataset, whose actions are in the task's own units. `step` selects a
     run's buffer as it was at that env step. Raises UserError.
     """
-    run = _kept_rows(name) or find_run(name, store)
+    path = Path(name).absolute()
+    if path.parent.name == layout.WEIGHINGS and (path / layout.CONFIG).is_file():
+        return of_run(RunReader(path), step)  # the rows that a weighing keeps are read as a run's
+    run = find_run(name, store)
     if run is not None:
         return of_run(run, step)
-    if not Path(name).exists():
+    if not path.exists():
         raise UserError(
             f"no data '{name}': name a run of {store.path}/ or a run folder; {where_else(name)}"
         )
@@ -81,10 +84,20 @@ def _of_dataset(name: str, env: str) -> OrderedData:
     recording = read_dataset(name)
     rows, version, behaviour = recording.rows, recording.policy_version, recording.behaviour
     _check_dims(name, rows, known)
-    _check_bounds(name, np.asarray(rows.action), known)
+    action, (low, high) = np.asarray(rows.action), action_bounds(known)
+    slack = SLACK * (high - low)
+    outside = (action < low - slack) | (action > high + slack)
+    if outside.any():
+        row, dim = np.argwhere(outside)[0]
+        raise UserError(
+            f"{name}: {int(outside.any(1).sum())} of {len(action)} rows have an action outside "
+            f"{known.name}'s bounds, first in row {row}: dimension {dim} is {action[row, dim]:g}, "
+            f"its bounds are {low[dim]:g} and {high[dim]:g}: give actions in the task's own units, "
+            "cut at its bounds where the task cut them (numpy.clip)"
+        )
     rows = replace(
         rows,
-        action=to_unit_range(np.asarray(rows.action), known),
+        action=to_unit_range(action, known),
         obs=known.unit_obs(np.asarray(rows.obs)),
         next_obs=known.unit_obs(np.asarray(rows.next_obs)),
     ).torch()
@@ -152,7 +165,12 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
     random_rows = int(settings.get("exploration_steps" if run.fits_model else "steps", 0))
     if not run.is_run:
         random_rows = int(run.config.get("ordered_from", 0))
-    kept = slice(None) if step is None else _held_at(step, run, len(rows))
+    kept = slice(None)
+    if step is not None:
+        if not run.fits_model or not 0 < step <= len(rows):
+            has = f"{len(rows)} steps" if run.fits_model else "no fits of a model"
+            raise UserError(f"run {run.run_id} has {has}: --step {step} is none of them")
+        kept = slice(max(step - int(settings.get("replay_capacity", len(rows))), 0), step)
     starts = initial_obs(rows[: kept.stop])  # also of episodes whose rows have left the buffer
     rows, version, behaviour = rows[kept], version[kept], behaviour[kept]
     random_rows -= kept.start or 0
@@ -242,13 +260,6 @@ def action_bounds(known: Task) -> tuple[NDArray, NDArray]:
     return space.low, space.high
 
 
-def _kept_rows(name: str) -> RunReader | None:
-    """The rows that a weighing keeps, whose folder is `name`: they are read as a run's are."""
-    path = Path(name).absolute()
-    weighing = path.parent.name == layout.WEIGHINGS and (path / layout.CONFIG).is_file()
-    return RunReader(path) if weighing else None
-
-
 def find_run(name: str, store: Store) -> RunReader | None:
     """The run called `name`, an id in the store or a folder; None if there is no such run."""
     path = Path(name)
@@ -258,34 +269,10 @@ def find_run(name: str, store: Store) -> RunReader | None:
     return store.run(name) if inside else None
 
 
-def _held_at(step: int, run: RunReader, rows: int) -> slice:
-    """The slice of a run's recorded `rows` that its replay buffer held at env step `step`."""
-    if not run.fits_model or not 0 < step <= rows:
-        has = f"{rows} steps" if run.fits_model else "no fits of a model"
-        raise UserError(f"run {run.run_id} has {has}: --step {step} is none of them")
-    capacity = int(run.config.get("config", {}).get("replay_capacity", rows))
-    return slice(max(step - capacity, 0), step)
-
-
 def _check_dims(name: str, rows: Transitions, known: Task) -> None:
     dims = rows.obs.shape[1], rows.action.shape[1]
     if dims != (known.obs_dim, known.action_dim):
         raise UserError(
             f"{name} has {dims[0]} observations and {dims[1]} actions, {known.name} has "
             f"{known.obs_dim} and {known.action_dim}: is it data of another task or version?"
-        )
-
-
-def _check_bounds(name: str, action: NDArray, known: Task) -> None:
-    """Raises UserError if an action (N, A) lies outside the task's bounds."""
-    low, high = action_bounds(known)
-    slack = SLACK * (high - low)
-    outside = (action < low - slack) | (action > high + slack)
-    if outside.any():
-        row, dim = np.argwhere(outside)[0]
-        raise UserError(
-            f"{name}: {int(outside.any(1).sum())} of {len(action)} rows have an action outside "
-            f"{known.name}'s bounds, first in row {row}: dimension {dim} is {action[row, dim]:g}, "
-            f"its bounds are {low[dim]:g} and {high[dim]:g}: give actions in the task's own units, "
-            "cut at its bounds where the task cut them (numpy.clip)"
         )
