@@ -4,8 +4,7 @@ The first part of the buffer is random data, the second part comes from a policy
 order (paper, section 5.2, "Analysis of TOM Importance Weights"). Pure functions of weights.
 """
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any
 
@@ -20,36 +19,14 @@ DECILES = 10
 LATE = 2  # number of last deciles, and of last bins, that count as the end
 
 
-@dataclass(frozen=True)
-class Progression:
-    """One learner's weights along one ordered buffer; every mean in units of the mean weight.
+def progression(weights: NDArray, ordered_from: int) -> dict[str, Any]:
+    """One learner's weights (N,), oldest first, whose first `ordered_from` rows are random data.
 
-    `random_mean` is None if the buffer has no random part. `first_rise` is the first decile (1 to
-    10) of the ordered part whose mean weight is above 1, None if there is none.
-    """
-
-    random_mean: float | None
-    deciles: tuple[float, ...]  # mean weight of each tenth of the ordered part
-    last_two: float  # mean weight of the last two of 20 bins of the whole buffer
-    spearman: float  # rank correlation of the deciles with their order
-    first_rise: int | None
-    ess: float  # share of the buffer
-    zeros: float  # share of the buffer
-
-    @property
-    def rises_before_end(self) -> bool:
-        """Whether the first decile with a mean weight above 1 is an early one."""
-        return self.first_rise is not None and self.first_rise <= DECILES - LATE
-
-    def row(self) -> dict[str, Any]:
-        """Every number, for a table or JSON."""
-        return {**asdict(self), "rises_before_end": self.rises_before_end}
-
-
-def progression(weights: NDArray, ordered_from: int) -> Progression:
-    """Summary of weights (N,), oldest first, whose first `ordered_from` rows are random data.
-
-    Raises ValueError if all of them are.
+    Every mean is in units of the mean weight: `random_mean` (None without random data); `deciles`
+    of the ordered part; `last_two` of 20 bins of the whole buffer. `spearman` is the rank
+    correlation of the deciles with their order, `first_rise` the first decile (1 to 10) above 1
+    (None without one), which `rises_before_end` if it is an early one; `ess` and `zeros` are shares
+    of the buffer. Raises ValueError if all rows are random.
     """
     if not 0 <= ordered_from < len(weights):
         raise ValueError(f"no ordered rows from {ordered_from} on among {len(weights)}")
@@ -57,15 +34,16 @@ def progression(weights: NDArray, ordered_from: int) -> Progression:
     w = w / w.mean() if w.mean() > 0 else w
     deciles = bin_means(w[ordered_from:], DECILES).numpy()
     above = np.flatnonzero(deciles > 1)
-    return Progression(
-        random_mean=float(w[:ordered_from].mean()) if ordered_from else None,
-        deciles=tuple(float(d) for d in deciles),
-        last_two=float(bin_means(w, BINS)[-LATE:].mean()),
-        spearman=rank_correlation(np.arange(DECILES), deciles),
-        first_rise=int(above[0]) + 1 if len(above) else None,
-        ess=ess(w),
-        zeros=zero_share(w),
-    )
+    return {
+        "random_mean": float(w[:ordered_from].mean()) if ordered_from else None,
+        "deciles": tuple(float(d) for d in deciles),
+        "last_two": float(bin_means(w, BINS)[-LATE:].mean()),
+        "spearman": rank_correlation(np.arange(DECILES), deciles),
+        "first_rise": int(above[0]) + 1 if len(above) else None,
+        "ess": ess(w),
+        "zeros": zero_share(w),
+        "rises_before_end": bool(len(above) and above[0] < DECILES - LATE),
+    }
 
 
 def rank_correlation(x: NDArray, y: NDArray) -> float:
@@ -83,8 +61,8 @@ def same_profile(weights: NDArray, others: NDArray) -> float:
     return rank_correlation(bin_means(weights, BINS).numpy(), bin_means(others, BINS).numpy())
 
 
-def medians(reports: Sequence[Progression]) -> dict[str, float | None]:
+def medians(reports: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
     """Medians over seeds of the numbers in the acceptance test."""
     names = ("random_mean", "last_two", "spearman", "ess", "zeros")
-    columns = {name: [getattr(report, name) for report in reports] for name in names}
+    columns = {name: [report[name] for report in reports] for name in names}
     return {name: None if None in values else median(values) for name, values in columns.items()}

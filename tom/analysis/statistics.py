@@ -39,6 +39,10 @@ class Interval:
     low: float
     high: float
 
+    def columns(self, name: str, of: str = "") -> dict[str, float]:
+        """The value under its name in a table, and its bounds, under `of` low and high."""
+        return {name: self.value, f"{of} low".lstrip(): self.low, f"{of} high".lstrip(): self.high}
+
     def __str__(self) -> str:
         bounds = f" [{self.low:.4g}, {self.high:.4g}]" if np.isfinite(self.low) else ""
         return f"{self.value:.4g}{bounds}"

@@ -6,7 +6,6 @@ come from another library. The policy's footprint is collected in the real envir
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from torch import Tensor
 
 from tom.analysis.ordered_data import OrderedData, action_bounds, after_random, find_run, load_data
 from tom.config import ModelConfig, OnlineConfig, RunConfig, TomConfig, in_words
-from tom.data.card import PolicyFacts
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.base import DynamicsModel
@@ -37,7 +35,7 @@ from tom.learners.behaviour import require_behaviour
 from tom.policy.collect import Footprint, footprint
 from tom.policy.foreign import ForeignPolicy, foreign_policy, is_foreign
 from tom.policy.stored import NAME, StoredPolicy, UniformPolicy, distances, read_policy
-from tom.record import RunReader, Store, layout
+from tom.record import Store, layout
 from tom.rng import Streams
 from tom.training import presets
 from tom.training.resume import recorded_config
@@ -87,7 +85,15 @@ def load_policy(name: str, store: Store, known: Task, step: int | None = None) -
         raise UserError(f"--step {step} is a step of a run, and policy {name} is none: name a run")
     if is_foreign(name):
         return foreign_policy(name, known.obs_dim, action_bounds(known), known.own_obs)
-    policy = read_policy(Path(name)) if run is None else _policy_of(run, step)
+    path = Path(name)
+    if run is not None:
+        if not run.has_policy(step):
+            kept = ", ".join(map(str, run.policy_steps())) if run.fits_model else ""
+            advice = f"--step takes one of {kept}" if kept else "name another run"
+            of = "its end" if step is None else f"step {step}"
+            raise UserError(f"run {run.run_id} kept no policy of {of}: {advice}")
+        path = run.path / (NAME if step is None else layout.policy(step))
+    policy = read_policy(path)
     dims = policy.obs_dim, policy.action_dim
     if dims != (known.obs_dim, known.action_dim):
         raise UserError(
@@ -99,16 +105,6 @@ def load_policy(name: str, store: Store, known: Task, step: int | None = None) -
             f"policy {name} is of {policy.env}, not of {known.name}: name a policy of {known.name}"
         )
     return policy
-
-
-def _policy_of(run: RunReader, step: int | None) -> StoredPolicy:
-    """The run's policy at the fit of `step`, or at its end."""
-    if run.has_policy(step):
-        return read_policy(run.path / (NAME if step is None else layout.policy(step)))
-    kept = ", ".join(map(str, run.policy_steps())) if run.fits_model else ""
-    advice = f"--step takes one of {kept}" if kept else "name another run"
-    of = "its end" if step is None else f"step {step}"
-    raise UserError(f"run {run.run_id} kept no policy of {of}: {advice}")
 
 
 def weigh(
@@ -126,25 +122,30 @@ def weigh(
     A seed fixes the footprint (the policy's sampled actions in the real environment), a learner's
     random draws, and equally many fresh transitions that no learner has seen, which test the
     weights. `stepped` is called after each step in the real environment, 2 `footprint_rows` times
-    per seed. Raises UserError if a learner needs something that the policy lacks.
+    per seed.
     """
-    for name in learners:
-        if name not in LEARNERS:
-            raise unknown("learner", name, LEARNERS)
-        if follows_value(name) and policy.value_gradient is None:
-            raise UserError(
-                f"learner {name} follows a value function, and this policy comes without one: "
-                f"leave {name} out, or name the policy of a newer run"
-            )
-        if follows_behaviour(name):
-            require_behaviour(data.policy_version, data.behaviour, policy)
+    rows, scaling = data.transitions, step_scaling(data.transitions)
     for seed in seeds:
         made, fresh = (
             made_anew(known, policy, footprint_rows, seed, use, stepped)
             for use in ("footprint", "fresh episodes")
         )
+        ours, judges = (episodes.transitions.torch() for episodes in (made, fresh))
         for name in learners:
-            yield _weigh(data, policy, made, fresh, config.but(learner=name, seed=seed))
+            own = config.but(learner=name, seed=seed)
+            weighting = fit_weights(data, policy, ours, max(len(ours), own.tom.warmup), own)
+            event, generator = weighting.event(0), Streams(seed).torch("exam")
+            yield Weighed(
+                learner=name,
+                seed=seed,
+                weights=event.weight,
+                log_ratio=event.log_ratio,
+                metrics=dict(weighting.metrics),
+                notices=tuple(weighting.notices),
+                footprint_return=float(np.mean(made.returns)) if made.returns else None,
+                match=footprint_match(rows, weighting.weights, judges, scaling, generator),
+                terms=dict(event.terms),
+            )
 
 
 def made_anew(
@@ -172,6 +173,13 @@ def fit_weights(
     rows, streams = data.transitions, Streams(config.seed)
     dims = rows.obs.shape[1], rows.action.shape[1]
     learner = make_learner(config.learner, config, *dims, streams.torch("learner"))
+
+    def model_errors() -> Tensor:
+        """Of a model fitted to the rows without weights, in place of a training's last; (N,)."""
+        of_model = config.model if isinstance(config, OnlineConfig) else ModelConfig()
+        model = fit_model(rows, uniform(rows, ready=True), of_model, config.seed)
+        return errors_of_rows(model, rows)
+
     return learner.weigh(
         FitContext(
             replay=rows,
@@ -183,38 +191,8 @@ def fit_weights(
             generator=streams.torch("weigh"),
             value_gradient=policy.value_gradient,
             behaviour=data.behaviour,
-            model_errors=partial(errors_without_weights, rows, config),
+            model_errors=model_errors,
         )
-    )
-
-
-def errors_without_weights(rows: TensorTransitions, config: RunConfig) -> Tensor:
-    """Errors (N,) of a model fitted to the rows without weights, in place of a training's last."""
-    of_model = config.model if isinstance(config, OnlineConfig) else ModelConfig()
-    return errors_of_rows(fit_model(rows, uniform(rows, ready=True), of_model, config.seed), rows)
-
-
-def _weigh(
-    data: OrderedData,
-    policy: PolicyOfInterest,
-    made: Footprint,
-    fresh: Footprint,
-    config: RunConfig,
-) -> Weighed:
-    rows, steps = data.transitions, max(len(made.transitions), config.tom.warmup)
-    weighting = fit_weights(data, policy, made.transitions.torch(), steps, config)
-    judges, generator = fresh.transitions.torch(), Streams(config.seed).torch("exam")
-    event = weighting.event(0)
-    return Weighed(
-        learner=config.learner,
-        seed=config.seed,
-        weights=event.weight,
-        log_ratio=event.log_ratio,
-        metrics=dict(weighting.metrics),
-        notices=tuple(weighting.notices),
-        footprint_return=float(np.mean(made.returns)) if made.returns else None,
-        match=footprint_match(rows, weighting.weights, judges, step_scaling(rows), generator),
-        terms=dict(event.terms),
     )
 
 
@@ -285,18 +263,26 @@ def plan_weighing(
     before, now = (in_words(one.model_dump(include=setting_groups())) for one in (usual, config))
     for seed in seeds:
         config.but(seed=seed)
-    for learner in learners:
-        if learner not in LEARNERS:
-            raise unknown("learner", learner, LEARNERS)
     by = load_policy(policy, store, known, step)
     if collected_by:
         rows = with_collectors(rows, [load_policy(name, store, known) for name in collected_by])
-    if any(follows_behaviour(name) for name in learners):
-        require_behaviour(rows.policy_version, rows.behaviour, by)
+    for learner in learners:
+        if learner not in LEARNERS:
+            raise unknown("learner", learner, LEARNERS)
+        if follows_value(learner) and by.value_gradient is None:
+            raise UserError(
+                f"learner {learner} follows a value function, and this policy comes without one: "
+                f"leave {learner} out, or name the policy of a newer run"
+            )
+        if follows_behaviour(learner):
+            require_behaviour(rows.policy_version, rows.behaviour, by)
+    facts = None
+    if isinstance(by, ForeignPolicy):  # what it answers to the data's observations
+        facts = by.facts(rows.transitions.obs[:: max(len(rows) // ASKED, 1)][:ASKED])
     return WeighingPlan(
         data=replace(
             rows,
-            card=replace(rows.card, policy=asked(by, rows)),
+            card=replace(rows.card, policy=facts),
             policy_distance=distances(by.mean, rows.transitions),
         ),
         known=known,
@@ -330,14 +316,6 @@ def with_collectors(data: OrderedData, policies: Sequence[PolicyOfInterest]) -> 
         gaussian = require_behaviour(versions[:0], None, policy).gaussian(obs[own])
         behaviour[own] = torch.cat(gaussian, 1)
     return replace(data, behaviour=behaviour)
-
-
-def asked(policy: PolicyOfInterest, data: OrderedData) -> PolicyFacts | None:
-    """What a policy of another library answers to the data's observations; None for ours."""
-    if not isinstance(policy, ForeignPolicy):
-        return None
-    obs = data.transitions.obs
-    return policy.facts(obs[:: max(len(obs) // ASKED, 1)][:ASKED])
 
 
 def _data(

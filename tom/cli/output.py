@@ -49,6 +49,18 @@ def show_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
     show(title, list(rows[0]), [list(map(readable.cell, row.values())) for row in rows])
 
 
+def fitting(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """The rows with their first columns alone, as many as the terminal has room for."""
+    console, kept = Console(), []
+    width = (console.width if console.is_terminal else WIDTH) - 1
+    for name in rows[0]:
+        width -= max(len(name), *(len(readable.cell(row[name])) for row in rows)) + 3
+        if width < 0:
+            break
+        kept.append(name)
+    return [{name: row[name] for name in kept} for row in rows]
+
+
 def print_problems(store: Store) -> None:
     """Print on stderr what `store.runs()` left out."""
     for problem in store.problems:

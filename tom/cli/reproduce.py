@@ -12,11 +12,12 @@ from argparse import Namespace
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 from matplotlib import rc_context
 from pydantic import ValidationError
 
-from tom.cli.output import show_rows
+from tom.cli.output import fitting, show_rows
 from tom.cli.parser import add_json, folder, one_line, whole
 from tom.cli.train import followed
 from tom.config import SacRecordingConfig
@@ -25,7 +26,7 @@ from tom.machine.processes import on_stopping
 from tom.record import RunReader, Store
 from tom.record.files import plain
 from tom.reports.figures import STYLE, save
-from tom.reports.report import Report, origin, write_csv, write_report
+from tom.reports.report import origin, write_csv, write_report
 from tom.studies import (
     capacity,
     focus,
@@ -37,12 +38,14 @@ from tom.studies import (
     road,
     tabular,
 )
-from tom.studies.study import Lab, Study, Table, make_folder, say
+from tom.studies.study import Findings, make_folder, say
 from tom.training.resume import resume, unfinished
 from tom.training.run import train
 
 _BEGUN = time.monotonic()  # a study is a separate process
 STUDIES = (road, progression, focus, footprint, capacity, improvement, online, returns, tabular)
+LONG = 60
+"""maximum lines of a table that is printed"""
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
@@ -52,19 +55,19 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "write its figure and table. Exit code 0 where all figures are met, 1 otherwise.",
     )
     studies = parser.add_subparsers(title="studies", metavar="STUDY", required=True)
-    for study in (module.STUDY for module in STUDIES):
-        question = (study.doc or "").partition("\n")[0]
-        own = studies.add_parser(study.name, help=question, description=study.doc)
+    for study in STUDIES:
+        name, doc = study.__name__.rpartition(".")[2], study.__doc__ or ""
+        own = studies.add_parser(name, help=doc.partition("\n")[0], description=doc)
         own.register("type", "folder", folder)
         own.register("type", "seed", whole(0))
-        study.options(own)
-        out = Path("reports") / study.name
+        study.add_options(own)
+        out = Path("reports") / name
         own.add_argument("--out", type=Path, default=out, help="[%(default)s]")
         add_json(own, "print the result as JSON")
         own.set_defaults(run=partial(run, study))
 
 
-def run(study: Study, args: Namespace) -> int:
+def run(study: ModuleType, args: Namespace) -> int:
     """Run a study. Returns 0 where its acceptance is met, 1 where it is not or cannot be told.
 
     It cannot on Ctrl-C or SIGTERM, or if a case cannot be finished: a process was killed, the disk
@@ -89,9 +92,10 @@ def run(study: Study, args: Namespace) -> int:
     return 1
 
 
-def _run(study: Study, args: Namespace) -> int:
-    lab = Lab(args.out, getattr(args, "jobs", 1), partial(record, args))
-    found = study.find(args, lab)
+def _run(study: ModuleType, args: Namespace) -> int:
+    args.record = partial(record, args)
+    with rc_context(STYLE):
+        found: Findings = study.find(args)
     make_folder(args.out)
     judged = [row for row in found.checks if row["met"] is not None]
     failed = [str(row["name"]) for row in judged if not row["met"]]
@@ -101,34 +105,34 @@ def _run(study: Study, args: Namespace) -> int:
         verdict.append(f"{met} of {len(judged)} figures of our acceptance are met.")
     if failed:
         verdict.append(f"Not met: {'; '.join(failed)}.")
-    tables = list(found.tables)
+    files = {name: list(rows) for name, rows in found.files.items()}
+    tables = [(title, files[name]) for name, title in found.titles.items()]
+    content = {name: files[name] for name in found.titles}
     if found.checks:
+        files["checks"] = content["checks"] = list(found.checks)
         answers = {True: "yes", False: "NO", None: ""}
         rows = [{**row, "met": answers[row["met"]]} for row in found.checks]
-        tables.insert(0, Table("Acceptance", rows))
-    of_checks = {"checks": found.checks} if found.checks else {}
-    for name, rows in {**found.files, **of_checks}.items():
+        tables.insert(0, ("Acceptance", rows))
+    for name, rows in files.items():
         write_csv(args.out / f"{name}.csv", rows)
-    pictures = []
-    for name, (caption, draw) in found.figures.items():
-        with rc_context(STYLE):
-            pictures.append((caption, save(draw(), args.out, name)[0]))
+    pictures = [
+        (caption, save(figure, args.out, name)[0])
+        for name, (caption, figure) in found.figures.items()
+    ]
     hours = (
         f"{(time.monotonic() - _BEGUN) / 3600:.2f} (cases kept from an earlier call not counted)"
     )
     made = origin() | {"hours": hours} | dict(found.origin)
-    sections = [(table.title, table.rows) for table in tables]
-    write_report(Report(study.title, study.claim, verdict, pictures, sections, made), args.out)
+    write_report(args.out, study.TITLE, study.CLAIM, verdict, pictures, tables, made)
     if args.json:
-        content = {**of_checks, **found.json, "verdict": verdict, "out": str(args.out)}
+        content |= {"verdict": verdict, "out": str(args.out)}
         print(json.dumps(plain(content), allow_nan=False))
         return 1 if failed else 0
-    for table in tables:
-        rows = table.rows if table.brief is None else table.brief
-        if rows:
-            show_rows(table.title, rows)
-        elif table.rows:
-            print(f"{table.title}: in the report")
+    for title, rows in tables:
+        if 0 < len(rows) <= LONG or title == "Acceptance":
+            show_rows(title, fitting(rows))
+        elif rows:
+            print(f"{title}: in the report")
     print("\n".join([*verdict, str(args.out)]))
     return 1 if failed else 0
 

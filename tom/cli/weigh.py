@@ -118,8 +118,8 @@ def run(args: argparse.Namespace) -> int:
     command = shlex.join(["tom", *sys.argv[1:]])
     hours = (perf_counter() - begun) / 3600
     report = weighing_files.report(plan, weighed, args.policy, args.step, command, hours)
-    with weighing_files.place(args.out, store, name) as out:
-        weighing_files.write(out, plan.data, weighed, args.bins, report)
+    out = args.out or store.make_weighing(name)
+    weighing_files.write(out, plan.data, weighed, args.bins, report)
     for notice in weighing_files.notices(report):
         print(notice, file=sys.stderr)
     if args.json:

@@ -1,4 +1,4 @@
-"""How figures look: colours, style, files, and the weight profiles of an ordered buffer."""
+"""How figures look: colours, style, files, and the panels that several studies draw."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -7,9 +7,8 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
@@ -51,13 +50,6 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def log_ticks(axis: Axis, ticks: Sequence[float]) -> None:
-    """Only these ticks on a logarithmic axis, as plain numbers."""
-    axis.set_major_locator(FixedLocator(ticks))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter("{x:g}")
-
-
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write `<name>.png` and `<name>.svg` into `folder`."""
     paths = [folder / f"{name}.png", folder / f"{name}.svg"]
@@ -72,32 +64,38 @@ def strips(
     points: Iterable[tuple[str, str, float]],
     even: float,
     label: str,
-    nothing: str,
+    ticks: Sequence[float] = (),
 ) -> Figure:
-    """One panel per task: the values of each row as points, their median as a stroke.
+    """The values of each row as points and their median as a stroke; a panel a task, or the like.
 
-    `points` are task, row and value; the rows lie from the top down in the order of `colours`. A
-    dashed line is where a way is as good as uniform weights. `nothing` is said without points.
+    `points` are panel, row and value; the rows lie from the top down in the order of `colours`. A
+    dashed line is at `even`, where a row is as good as uniform weights. With `ticks` the axis is
+    logarithmic.
     """
     values: dict[tuple[str, str], list[float]] = {}
-    for env, row, value in points:
-        values.setdefault((env, row), []).append(value)
+    for panel, row, value in points:
+        values.setdefault((panel, row), []).append(value)
     if not values:
         figure = new_figure(4.0, 1.0)
-        figure.text(0.5, 0.5, nothing, ha="center", va="center")
+        figure.text(0.5, 0.5, "nothing to draw", ha="center", va="center")
         return figure
-    envs = list(dict.fromkeys(env for env, _ in values))
+    panels = list(dict.fromkeys(panel for panel, _ in values))
     upwards = [name for name in colours if any(row == name for _, row in values)][::-1]
-    figure = new_figure(2.2 + 2.6 * len(envs), 0.7 + 0.24 * max(len(upwards), 2))
-    axes = figure.subplots(1, len(envs), squeeze=False, sharey=True)[0]
-    for ax, env in zip(axes, envs, strict=True):
+    figure = new_figure(2.2 + 2.6 * len(panels), 0.7 + 0.24 * max(len(upwards), 2))
+    axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
+    for ax, panel in zip(axes, panels, strict=True):
         ax.axvline(even, color=NEUTRAL, linewidth=0.8, linestyle="--")
-        ax.set_title(env)
+        ax.set_title(panel)
         for height, name in enumerate(upwards):
-            of = values.get((env, name), ())
+            of = values.get((panel, name), ())
             ax.scatter(of, [height] * len(of), s=14, color=colours[name], alpha=0.55, linewidths=0)
             if of:
                 ax.plot([median(of)] * 2, [height - 0.35, height + 0.35], color=TEXT, linewidth=1.6)
+        if ticks:
+            ax.set_xscale("log")
+            ax.xaxis.set_major_locator(FixedLocator(ticks))
+            ax.xaxis.set_minor_locator(NullLocator())
+            ax.xaxis.set_major_formatter("{x:g}")
     axes[0].set_yticks(range(len(upwards)), upwards)
     figure.supxlabel(label, size=9)
     return figure
@@ -105,50 +103,54 @@ def strips(
 
 @dataclass(frozen=True)
 class Panel:
-    """The profiles of one learner, (S, bins), one row per seed, mean weight 1."""
+    """The profiles of one learner, (S, bins), mean weight 1: one row per seed, or per fit."""
 
     title: str
     learner: str
     profiles: NDArray[np.float64]
+    ordered_share: float = 0.0
+    """the share of the buffer at which its ordered part begins"""
+    fits: Sequence[str] = ()
+    """the names of the fits, if the profiles are those of one run, in order"""
 
 
-def profile_figure(
-    rows: Mapping[str, Sequence[Panel]], ordered_share: Mapping[str, float]
-) -> Figure:
-    """One row of panels for each buffer in `rows`, the same number of panels in each.
-
-    `ordered_share` is the share of the buffer at which its ordered part begins.
-    """
+def profile_figure(rows: Mapping[str, Sequence[Panel | None]]) -> Figure:
+    """One row of panels for each buffer or task in `rows`, the same number of panels in each."""
     columns = max(len(panels) for panels in rows.values())
     with rc_context(STYLE):
         figure = new_figure(2.9 * columns + 0.4, 2.2 * len(rows) + 0.3)
         axes = figure.subplots(len(rows), columns, squeeze=False, sharex=True)
         for line, (name, panels) in zip(axes, rows.items(), strict=True):
             for ax, panel in zip(line, panels, strict=True):
-                _draw(ax, panel, ordered_share[name])
+                if panel is None:
+                    ax.text(0.5, 0.5, "no such run", transform=ax.transAxes, ha="center")
+                else:
+                    _draw(ax, panel)
             line[0].set_ylabel(f"{name}\nmean weight")
         for ax in axes[-1]:
             ax.set_xlabel("position in the buffer, %")
     return figure
 
 
-def _draw(ax: Axes, panel: Panel, ordered_share: float) -> None:
-    bins = panel.profiles.shape[1]
-    x = (np.arange(bins) + 0.5) * 100 / bins
-    colour = learner_colour(panel.learner)
+def _draw(ax: Axes, panel: Panel) -> None:
+    """A line for each profile: those of seeds faint behind their mean, later fits darker."""
+    profiles, share = panel.profiles, panel.ordered_share
+    x = (np.arange(profiles.shape[1]) + 0.5) * 100 / profiles.shape[1]
     ax.axhline(1.0, color=NEUTRAL, linewidth=0.8, linestyle="--")
-    if ordered_share > 0:
-        ax.axvspan(0, 100 * ordered_share, color=NEUTRAL, alpha=0.12, linewidth=0)
-        _label(ax, 50 * ordered_share, "random")
-        _label(ax, 50 * (1 + ordered_share), "in order of training")
-    for profile in panel.profiles:
-        ax.plot(x, profile, color=colour, alpha=0.35, linewidth=0.8)
-    ax.plot(x, panel.profiles.mean(0), color=colour)
+    if share > 0:
+        ax.axvspan(0, 100 * share, color=NEUTRAL, alpha=0.12, linewidth=0)
+        placed = {"transform": ax.get_xaxis_transform(), "va": "top", "ha": "center"}
+        for place, text in ((50 * share, "random"), (50 * (1 + share), "in order of training")):
+            ax.text(place, 0.98, text, color=TEXT, alpha=0.7, fontsize=7.5, **placed)
+    if panel.fits:
+        shades = colormaps["viridis_r"](np.linspace(0.1, 1.0, len(panel.fits)))
+        for name, profile, shade in zip(panel.fits, profiles, shades, strict=True):
+            ax.plot(x, profile, color=shade, linewidth=1.0, label=name)
+        ax.legend(fontsize=6.5, frameon=True, edgecolor="none")  # framed: curves may cross it
+    else:
+        colour = learner_colour(panel.learner)
+        ax.plot(x, profiles.T, color=colour, alpha=0.35, linewidth=0.8)
+        ax.plot(x, profiles.mean(0), color=colour)
     ax.set_title(panel.title)
     ax.set_xlim(0, 100)
-    ax.set_ylim(0, 1.15 * max(float(panel.profiles.max()), 1.0))  # room for the labels
-
-
-def _label(ax: Axes, x: float, text: str) -> None:
-    placed = {"transform": ax.get_xaxis_transform(), "va": "top", "ha": "center"}
-    ax.text(x, 0.98, text, color=TEXT, alpha=0.7, fontsize=7.5, **placed)
+    ax.set_ylim(0, 1.15 * max(float(np.nanmax(profiles)), 1.0))  # room for the labels

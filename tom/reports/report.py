@@ -7,10 +7,10 @@ import json
 import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
+from types import MappingProxyType
 
 from tom import readable
 from tom.harmless import cell
@@ -33,68 +33,54 @@ td, th { padding: .2rem .7rem .2rem 0; border-bottom: 1px solid #dde; text-align
 """
 
 
-@dataclass(frozen=True)
-class Report:
-    """The content of a report: the paper's `claim`, the findings, and the origin.
+def write_report(
+    folder: Path,
+    title: str,
+    claim: str,
+    findings: Sequence[str],
+    figures: Sequence[tuple[str, Path]] = (),
+    tables: Sequence[tuple[str, Rows]] = (),
+    origin: Mapping[str, str] = MappingProxyType({}),
+) -> None:
+    """Write `report.html` and its words, `report.json`, into `folder`.
 
-    `figures` are (caption, path of a PNG), `tables` (title, rows); `origin` is command, commit and
-    versions.
+    `claim` is the paper's, `figures` are (caption, path of a PNG), `tables` (title, rows), `origin`
+    is how it was made.
     """
-
-    title: str
-    claim: str
-    findings: Sequence[str]
-    figures: Sequence[tuple[str, Path]] = ()
-    tables: Sequence[tuple[str, Rows]] = ()
-    origin: Mapping[str, str] = field(default_factory=dict)
-
-
-def write_report(report: Report, folder: Path) -> Path:
-    """Write `report.html` and `report.json` into `folder` and return the path of the first."""
-    title = html.escape(report.title)
+    head = html.escape(title)
     parts = [
-        f"<h1>{title}</h1>",
+        f'<meta charset="utf-8"><title>{head}</title><style>{STYLE}</style></head><body>',
+        f"<h1>{head}</h1>",
         "<h2>What the paper says</h2>",
-        f"<blockquote>{html.escape(report.claim)}</blockquote>",
+        f"<blockquote>{html.escape(claim)}</blockquote>",
         "<h2>What was found here</h2>",
-        *(f"<p>{html.escape(line)}</p>" for line in report.findings),
-        *(_figure(caption, path) for caption, path in report.figures),
-        *(f"<h2>{html.escape(name)}</h2>{_table(rows)}" for name, rows in report.tables),
-        "<h2>How it was made</h2>",
-        _table([{"what": name, "value": value} for name, value in report.origin.items()]),
+        *(f"<p>{html.escape(line)}</p>" for line in findings),
     ]
-    head = f'<meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
-    body = "\n".join(parts)
-    path = folder / NAME
-    words = {
-        "title": report.title,
-        "claim": report.claim,
-        "found": report.findings,
-        "origin": report.origin,
-    }
-    page = f"<!doctype html><html><head>{head}</head><body>\n{body}\n</body></html>\n"
+    for caption, path in figures:
+        image, text = base64.b64encode(path.read_bytes()).decode(), html.escape(caption)
+        image = f'<img alt="{text}" src="data:image/png;base64,{image}">'
+        parts.append(f"<figure>{image}<figcaption>{text}</figcaption></figure>")
+    made = [{"what": name, "value": value} for name, value in origin.items()]
+    for name, rows in (*tables, ("How it was made", made)):
+        parts += [f"<h2>{html.escape(name)}</h2>", _table(rows)]
+    page = "\n".join(["<!doctype html><html><head>", *parts, "</body></html>\n"])
+    words = {"title": title, "claim": claim, "found": findings, "origin": dict(origin)}
     for name, text in ((WORDS, json.dumps(words, indent=1) + "\n"), (NAME, page)):
         replace(folder / name, lambda file, text=text: file.write(text.encode()), sync=False)
-    return path
-
-
-def _figure(caption: str, path: Path) -> str:
-    content = base64.b64encode(path.read_bytes()).decode()
-    text = html.escape(caption)
-    image = f'<img alt="{text}" src="data:image/png;base64,{content}">'
-    return f"<figure>{image}<figcaption>{text}</figcaption></figure>"
 
 
 def _table(rows: Rows) -> str:
     if not rows:
         return "<p>nothing</p>"
-    titles = "".join(f"<th>{html.escape(name)}</th>" for name in rows[0])
-    lines = "".join(f"<tr>{''.join(map(_cell, row.values()))}</tr>" for row in rows)
-    return f'<div class="scroll"><table><tr>{titles}</tr>{lines}</table></div>'
-
-
-def _cell(value: object) -> str:
-    return f"<td>{html.escape(readable.cell(value))}</td>"
+    lines = (
+        [f"<th>{html.escape(name)}</th>" for name in rows[0]],
+        *(
+            [f"<td>{html.escape(readable.cell(value))}</td>" for value in row.values()]
+            for row in rows
+        ),
+    )
+    body = "".join(f"<tr>{''.join(line)}</tr>" for line in lines)
+    return f'<div class="scroll"><table>{body}</table></div>'
 
 
 def write_csv(path: Path, rows: Iterable[Mapping[str, object]]) -> None:

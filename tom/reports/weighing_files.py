@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 from tom.analysis.brush import AS_IT_IS, BrushedFit
 from tom.analysis.ordered_data import OrderedData
-from tom.analysis.progression import Progression, medians, progression
+from tom.analysis.progression import medians, progression
 from tom.analysis.weighing import Weighed, WeighingPlan, setting_groups
 from tom.data.card import Card
 from tom.data.sampling import bin_means
@@ -60,38 +59,11 @@ SEGMENT_BYTES = 64 * 2**20
 # Read.
 
 
-class _Result(BaseModel):
-    """Whose weights these are, and what there is to notice."""
-
-    model_config = ConfigDict(strict=True)
-    learner: str
-    seed: int
-    notices: list[str] = []
-
-
-class _Made(BaseModel):
-    """How a weighing was made; an old one says little."""
-
-    model_config = ConfigDict(strict=True)
-    versions: dict[str, Any] = {}
-    hours: float = 0.0
-
-
-class _Report(BaseModel):
-    """What readers need of a report."""
-
-    model_config = ConfigDict(strict=True)
-    data: str
-    policy: str
-    rows: int
-    results: list[_Result]
-    made: _Made = _Made()
-
-
 def read_report(path: Path) -> dict[str, Any]:
     """The report of the weighing in the folder `path`. Raises OSError, or ValueError if damaged."""
     report = read_json(path / REPORT)
-    _Report.model_validate(report)
+    if lacking := {"data", "policy", "rows", "results"}.difference(report):
+        raise ValueError(f"the report has no {' and no '.join(sorted(lacking))}")
     return report
 
 
@@ -157,35 +129,14 @@ def check_free(out: Path) -> None:
 
 
 @contextmanager
-def place(out: Path | None, store: Store, name: str) -> Iterator[Path]:
-    """The folder of a new weighing: `out`, else one in the store that the block fills.
-
-    It is chosen when its content is there: a name that was free when the work began may be taken by
-    another's that began in the same second. After an error nothing of it remains.
-    """
-    if out is not None:
-        yield out
-        return
-    try:
-        made = store.new_weighing(name)
-        made.mkdir(parents=True)
-    except OSError as error:
-        raise UserError(f"cannot write into {store.path}: {error.strerror}; name --out") from error
-    try:
-        yield made
-    except BaseException:
-        with suppress(OSError):
-            made.rmdir()
-        raise
-
-
-@contextmanager
 def _unfinished(out: Path) -> Iterator[Path]:
     """A folder that becomes `out` at the end of the block. Raises UserError if it cannot be."""
     try:
         with whole_folder(out.absolute()) as folder:
             yield folder
     except OSError as error:
+        with suppress(OSError):  # the place in the store that was taken for it
+            out.rmdir()
         why = error.strerror or error
         raise UserError(f"cannot write {out}: {why}; name another --out") from error
 
@@ -233,7 +184,7 @@ def report(
     """The content of `report.json` for a plan that `command` carried out in `hours`."""
     data = plan.data
     shapes = [progression(one.weights, data.ordered_from) for one in weighed]
-    by_learner: dict[str, list[Progression]] = {}
+    by_learner: dict[str, list[dict[str, Any]]] = {}
     for one, shape in zip(weighed, shapes, strict=True):
         by_learner.setdefault(one.learner, []).append(shape)
     return {
@@ -253,7 +204,7 @@ def report(
             {
                 "learner": one.learner,
                 "seed": one.seed,
-                **shape.row(),
+                **shape,
                 **{name: one.match.get(name) for name in MATCH},
                 "footprint_return": one.footprint_return,
                 "metrics": one.metrics,
@@ -277,17 +228,18 @@ def card(of_data: Card, weighed: Sequence[Weighed]) -> Card:
     policy = of_data.policy
     if policy is not None and returns:
         policy = replace(policy, returned=float(np.mean(returns)))
-    same = {
-        LEARNERS[one.learner].label: None
+    same = dict.fromkeys(
+        LEARNERS[one.learner].label
         for one in weighed
         if not LEARNERS[one.learner].uniform and np.ptp(one.weights) <= SAME
-    }
-    uniform = (
-        "uniform",
-        f"the weights of {', '.join(same)} are all the same: nothing tells the policy's steps from "
-        "the data's; more rows, a longer --footprint, or the notices above say why",
     )
-    others = (*of_data.others, *((uniform,) if same else ()))
+    others = of_data.others
+    if same:
+        notice = (
+            f"the weights of {', '.join(same)} are all the same: nothing tells the policy's steps "
+            "from the data's; more rows, a longer --footprint, or the notices above say why"
+        )
+        others = (*others, ("uniform", notice))
     return replace(of_data, policy=policy, others=others)
 
 
@@ -305,14 +257,30 @@ def write(
     from tom.reports.figures import Panel, profile_figure, save
 
     learners = dict.fromkeys(one.learner for one in weighed)
-    panels = [Panel(LEARNERS[n].label, n, profiles(weighed, n, bins)) for n in learners]
     share = data.ordered_from / len(data)
+    panels = [Panel(LEARNERS[n].label, n, profiles(weighed, n, bins), share) for n in learners]
     with _unfinished(out) as folder:
         write_weights(folder / WEIGHTS, weighed, data.policy_distance)
         write_csv(folder / PROFILE, profile_rows(weighed, bins))
         if not data.stored:
-            _write_rows(folder, data)
-        save(profile_figure({data.name: panels}, {data.name: share}), folder, FIGURE)
+            rows, version = data.transitions.numpy(), data.policy_version.numpy()
+            behaviour = None if data.behaviour is None else data.behaviour.numpy()
+            width = 4 * (2 * np.shape(rows.obs)[1] + np.shape(rows.action)[1] + 5)
+            (folder / layout.segment(0)).parent.mkdir()
+            for first in range(0, len(rows), at_once := max(SEGMENT_BYTES // width, 1)):
+                part = slice(first, first + at_once)
+                known = None if behaviour is None else behaviour[part]
+                collected = Collected(0, rows[part], version[part], behaviour=known)
+                arrays = decode.transition_arrays(collected)
+                np.savez(folder / layout.segment(first), allow_pickle=False, **arrays)
+            # Readers of runs find the task there.
+            assert data.env is not None
+            said = {"schema": layout.SCHEMA, "env": data.env, "task": description(data.env)}
+            # For those who weigh these rows from here.
+            said |= {"data": data.name, "ordered_from": data.ordered_from}
+            replace_json(folder / layout.CONFIG, said, sync=False)
+            save_scene(data.env, folder)
+        save(profile_figure({data.name: panels}), folder, FIGURE)
         replace_json(folder / REPORT, report, sync=False)
 
 
@@ -347,27 +315,6 @@ def write_weights(
     write_table(path, pa.table(columns), **NUMBERS)
 
 
-def _write_rows(folder: Path, data: OrderedData) -> None:
-    rows, version = data.transitions.numpy(), data.policy_version.numpy()
-    behaviour = None if data.behaviour is None else data.behaviour.numpy()
-    width = 4 * (2 * np.shape(rows.obs)[1] + np.shape(rows.action)[1] + 5)
-    at_once = max(SEGMENT_BYTES // width, 1)
-    (folder / layout.segment(0)).parent.mkdir()
-    for first in range(0, len(rows), at_once):
-        part = slice(first, first + at_once)
-        known = None if behaviour is None else behaviour[part]
-        collected = Collected(0, rows[part], version[part], behaviour=known)
-        arrays = decode.transition_arrays(collected)
-        np.savez(folder / layout.segment(first), allow_pickle=False, **arrays)
-    # Readers of runs find the task there.
-    assert data.env is not None
-    said = {"schema": layout.SCHEMA, "env": data.env, "task": description(data.env)}
-    # For those who weigh these rows from here.
-    said |= {"data": data.name, "ordered_from": data.ordered_from}
-    replace_json(folder / layout.CONFIG, said, sync=False)
-    save_scene(data.env, folder)
-
-
 def called(factor: float) -> str:
     """The name of weights of that factor, used in place of a learner's name."""
     return "as it is" if factor == AS_IT_IS else f"region x {factor:g}"
@@ -390,7 +337,7 @@ def write_brush(
             "factor": one.factor,
             "seed": one.seed,
             "errors": one.errors,
-            **progression(one.weights, report["ordered_from"]).row(),
+            **progression(one.weights, report["ordered_from"]),
         }
         for one in models
     ]

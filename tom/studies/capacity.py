@@ -8,55 +8,60 @@ on episodes that the kept policy of a step makes anew. Runs must be whole, or sm
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
-from functools import partial
 from math import exp, log, nan
 from statistics import median
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tom.errors import UserError
-from tom.reports.figures import NEUTRAL, learner_colour, log_ticks, new_figure
+from tom.reports.figures import learner_colour, strips
 from tom.studies.frozen import ERROR, MODELS, ROLLOUT_ERROR, UNIFORM, WAYS
 from tom.studies.moments import (
     QUESTIONS,
     add_measuring,
+    answers,
     comparisons,
     findings,
     measured,
     models_of,
     ratios,
-    spanned,
 )
-from tom.studies.study import Findings, Lab, Row, Study, check_known
+from tom.studies.study import Findings, Row, check_known
 
+TITLE = "Where weighting pays"
+CLAIM = (
+    "A model fitted by TOM's weights is accurate where the policy goes (figure 1). The paper "
+    "varies the model's capacity nowhere; its linear model of road-and-rocks is the small end."
+)
 ASKED = ("recency", "half-recency", "ratio", "tom-discounted", "tom-mended", "half-tom-mended")
 AHEAD = {"one step": ERROR, "five steps": ROLLOUT_ERROR}
 """how far ahead an error is, and the beginning of its column"""
-CAPTION = (
-    "Error on new steps of the policy over the error under uniform weights, median over moments; "
-    "bars hold their middle half."
-)
-LINES = ("-", "--", ":", "-.")
-SPREAD = 0.09  # between the ways at one model
 
 
 def add_options(parser: ArgumentParser) -> None:
     add_measuring(parser, [UNIFORM, *ASKED], list(MODELS))
 
 
-def find(args: Namespace, lab: Lab) -> Findings:
+def find(args: Namespace) -> Findings:
     check_known("model", args.models, MODELS)
-    outcomes = measured(args, lab, args.models)
+    outcomes = measured(args, args.models)
     if args.table and not any(ratios(outcomes, ERROR)):
         raise UserError(
             f"{args.table} has no moment with both uniform and other weights, "
             "whose errors are compared: name the moments.csv of another report"
         )
     rows, pairs = summary(outcomes), head_to_head(outcomes)
-    figure = CAPTION, partial(capacity_figure, outcomes)
-    return findings(args, "capacity", verdict(rows, pairs), rows, outcomes, figure, pairs=pairs)
+    figures = {
+        name: (
+            f"Error {ahead} ahead on new steps of the policy, over the error under uniform "
+            "weights; a panel a model, a point a moment, the stroke is their median.",
+            capacity_figure(outcomes, ahead),
+        )
+        for name, ahead in zip(("capacity", "capacity-rollouts"), AHEAD, strict=True)
+    }
+    tables = {"summary": rows, "head-to-head": pairs}
+    return findings(args, verdict(rows, pairs), tables, outcomes, figures)
 
 
 def summary(outcomes: Sequence[Row]) -> list[Row]:
@@ -107,72 +112,19 @@ def verdict(rows: Sequence[Row], pairs: Sequence[Row]) -> list[str]:
     """For each model the way with the lowest error, then the answers to questions of two ways."""
     said = []
     for model in dict.fromkeys(row["model"] for row in rows):
-        here = sorted((r for r in rows if r["model"] == model), key=lambda row: row["one step"])
-        best, most = here[0], here[-1]
+        here = [row for row in rows if row["model"] == model]
+        best = min(here, key=lambda row: row["one step"])
         said.append(
             f"Model {model}: {best['way']} errs least, {best['one step']:.2f} of the error under "
-            f"uniform weights one step ahead (middle half of the moments "
-            f"{best['one step, lower quartile']:.2f} to {best['one step, upper quartile']:.2f}, "
-            f"less in {best['one step, below 1']:.0%} of {best['n']}), {best['five steps']:.2f} "
-            f"five steps ahead; most under {most['way']}, {most['one step']:.2f}."
+            f"uniform weights one step ahead (less in {best['one step, below 1']:.0%} of "
+            f"{best['n']} moments), {best['five steps']:.2f} five steps ahead."
         )
-    for (way, against), question in QUESTIONS.items():
-        told = [
-            f"{row['model']} {spanned(row, 'ratio')} "
-            f"(less at {row['less at']} of {row['n']}, p = {row['p']:.2f})"
-            for row in pairs
-            if (row["way"], row["against"]) == (way, against)
-        ]
-        if told:
-            said.append(f"{question} {way}'s error over {against}'s: {'; '.join(told)}.")
-    return said
+    return said + answers(pairs, "ratio", "less at")
 
 
-def capacity_figure(outcomes: Sequence[Row]) -> Figure:
-    """Errors one step and five steps ahead, against the capacity of the model."""
-    figure = new_figure(9.0, 3.4)
-    axes = figure.subplots(1, len(AHEAD), sharey=True)
-    for ax, (name, ahead) in zip(axes, AHEAD.items(), strict=True):
-        _draw(ax, [(one["way"], model, ratio) for one, model, ratio in ratios(outcomes, ahead)])
-        ax.set_title(f"{name} ahead")
-    axes[0].set_ylabel("error over that of uniform weights")
-    axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return figure
-
-
-def _draw(ax: Axes, values: Sequence[tuple[str, str, float]]) -> None:
-    models = [model for model in MODELS if any(m == model for _, m, _ in values)]
-    ways = [way for way in WAYS if any(w == way for w, _, _ in values)]
-    drawn: dict[str, int] = {}  # lines of each learner so far
-    ax.axhline(1.0, color=NEUTRAL, linewidth=0.8)
-    for number, way in enumerate(ways):
-        of = [[r for w, m, r in values if (w, m) == (way, model)] for model in models]
-        low, middle, high = np.array([np.quantile(group, (0.25, 0.5, 0.75)) for group in of]).T
-        learner = WAYS[way].learner or ""
-        ax.errorbar(
-            np.arange(len(models)) + SPREAD * (number - (len(ways) - 1) / 2),
-            middle,
-            yerr=(middle - low, high - middle),
-            color=learner_colour(learner),
-            linestyle=LINES[drawn.setdefault(learner, 0) % len(LINES)],
-            marker="o",
-            markersize=4,
-            elinewidth=0.8,
-            label=way,
-        )
-        drawn[learner] += 1
-    ax.set_yscale("log")
-    log_ticks(ax.yaxis, [0.5, 0.6, 0.7, 0.8, 0.9, 1, 1.1, 1.25, 1.5])
-    ax.set_xticks(range(len(models)), models)
-    ax.set_xlabel("model (units x layers)")
-
-
-STUDY = Study(
-    "capacity",
-    "Where weighting pays",
-    __doc__,
-    "A model fitted by TOM's weights is accurate where the policy goes (figure 1). The paper "
-    "varies the model's capacity nowhere; its linear model of road-and-rocks is the small end.",
-    add_options,
-    find,
-)
+def capacity_figure(outcomes: Sequence[Row], ahead: str) -> Figure:
+    """Errors so far ahead of each way of weighing, a panel for each model."""
+    points = [(model, one["way"], ratio) for one, model, ratio in ratios(outcomes, AHEAD[ahead])]
+    colours = {name: learner_colour(way.learner or "") for name, way in WAYS.items()}
+    what = f"error {ahead} ahead over that of uniform weights"
+    return strips(colours, points, 1.0, what, [0.25, 0.5, 1, 2])

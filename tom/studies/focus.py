@@ -9,13 +9,11 @@ of the buffer. Nothing is accepted or refused: it says for whom weighting helped
 from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from math import nan
 from pathlib import Path
 from statistics import median
 
 import torch
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tom.analysis.ordered_data import OrderedData, of_run
@@ -30,27 +28,31 @@ from tom.learners.base import Policy, Weighting
 from tom.policy.collect import footprint
 from tom.policy.stored import NAME, read_policy
 from tom.record import RunReader
-from tom.reports.figures import NEUTRAL, learner_colour, log_ticks, new_figure
+from tom.reports.figures import learner_colour, strips
 from tom.reports.report import seeds as in_short
 from tom.rng import Streams
-from tom.studies.recordings import add_recordings, recordings
-from tom.studies.study import Findings, Lab, Row, Study, Table
+from tom.studies.study import Findings, Row, add_recordings, compute, recordings
 from tom.training.presets import PRESETS, resolve
 
+TITLE = "Model error"
+CLAIM = (
+    "Fitting the model to what the current policy meets makes it accurate there, where policy "
+    "learning needs it, rather than over all of the replay buffer (figure 1). The paper measures "
+    "no model error on MuJoCo tasks."
+)
 RIVALS = {
-    "mle": ("MLE", "o"),
-    "pmac": ("PMAC", "o"),
-    "tom paper": ("TOM (paper preset)", "o"),
-    "tom mended": ("TOM (mended preset)", "^"),
-    "tom exact": ("TOM (exact preset)", "D"),
+    "mle": "MLE",
+    "pmac": "PMAC",
+    "tom paper": "TOM (paper preset)",
+    "tom mended": "TOM (mended preset)",
+    "tom exact": "TOM (exact preset)",
 }
-"""the learners compared with their names and marks: TOM as printed, mended, and with the preset of
-`TomConfig`"""
+"""the learners compared: TOM as printed, mended, and with the preset of `TomConfig`"""
 QUANTITIES = {
-    "policy": "policy's\nown",
-    "policy_rollout": "own,\n5 steps",
-    "ordered": "ordered\nhalf",
-    "random": "random\nhalf",
+    "policy": "policy's own",
+    "policy_rollout": "own, 5 steps",
+    "ordered": "ordered half",
+    "random": "random half",
 }
 """the errors and the data on which they are measured: one step and five steps under the policy on
 transitions that it makes anew, one step on rows of the buffer's two halves"""
@@ -58,25 +60,31 @@ CAPTION = (
     "Error of each learner's model as a share of MLE's, a point a seed (1: no difference). The "
     "buffer's two halves are in-sample, the policy's own transitions are new to every learner."
 )
-SPREAD = 0.18  # between the learners of one quantity
 
 
-def find(args: Namespace, lab: Lab) -> Findings:
-    asked = cases(recordings(args, lab), args.seeds)
-    results = lab.compute(
-        focus, asked, lambda one: f"{one['recording']}: {one['rival']} seed {one['seed']}"
+add_options = add_recordings
+
+
+def find(args: Namespace) -> Findings:
+    runs = recordings(args)
+    asked = [
+        Case(run.path, rival, seed, made=run.created)
+        for run in runs
+        for seed in args.seeds
+        for rival in RIVALS
+    ]
+    results = compute(
+        args, focus, asked, lambda one: f"{one['recording']}: {one['rival']} seed {one['seed']}"
     )
-    rows, n = summary(results), len({one["recording"] for one in results})
     return Findings(
         said=verdict(results),
-        files={"errors": results, "summary": rows},
-        figures={"errors": (CAPTION, partial(error_figure, results))},
-        tables=[Table("Medians over seeds", rows)],
+        files={"errors": results, "summary": summary(results)},
+        titles={"summary": "Medians over seeds"},
+        figures={"errors": (CAPTION, error_figure(results))},
         origin={
-            "n": f"{n} recordings, {len(args.seeds)} seeds on each",
+            "n": f"{len(runs)} recordings, {len(args.seeds)} seeds on each",
             "seeds": in_short(args.seeds),
         },
-        json={"summary": rows},
     )
 
 
@@ -94,16 +102,6 @@ class Case:
     seed: int
     preset: str = "paper"
     made: str = ""  # time of creation: a new recording under the same path is another case
-
-
-def cases(runs: Sequence[RunReader], seeds: Sequence[int]) -> list[Case]:
-    """Every rival with every seed on every recording."""
-    return [
-        Case(run.path, rival, seed, made=run.created)
-        for run in runs
-        for seed in seeds
-        for rival in RIVALS
-    ]
 
 
 def focus(case: Case) -> Row:
@@ -184,56 +182,29 @@ def verdict(results: Sequence[Row]) -> list[str]:
             f"{QUANTITIES[name]} {median(own):.2f} (less in {sum(x < 1 for x in own)}/{len(own)})"
             for name, own in of.items()
         )
-        line = f"{RIVALS[rival][0]}: error over MLE's, median: {', '.join(told)}."
+        line = f"{RIVALS[rival]}: error over MLE's, median: {', '.join(told)}."
         if rival.startswith("tom"):
             less = sum(median(of[name]) < 1 for name in ("policy", "policy_rollout"))
             says = ("not as claimed", "as claimed over one of the two lengths only", "as claimed")
             line += f" Where the policy goes: {says[less]}."
-        said.append(line.replace("\n", " "))
+        said.append(line)
     return said
 
 
 def error_figure(results: Sequence[Row]) -> Figure:
     """A panel per recording; the error relative to MLE's with the same seed."""
-    recordings = list(dict.fromkeys(one["recording"] for one in results))
-    figure = new_figure(2.9 * len(recordings) + 1.5, 2.8)
-    axes = figure.subplots(1, len(recordings), squeeze=False, sharey=True)[0]
-    for ax, name in zip(axes, recordings, strict=True):
-        _draw(ax, [one for one in shares(results) if one["recording"] == name])
-        ax.set_title(name)
-    axes[0].set_ylabel("model error over MLE's")
-    axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return figure
-
-
-def _draw(ax: Axes, over: Sequence[Row]) -> None:
-    ax.axhline(1.0, color=NEUTRAL, linewidth=0.8, linestyle="--")
-    rivals = [rival for rival in RIVALS if rival != "mle"]
-    for shift, rival in enumerate(rivals):
-        of = [one for one in over if one["rival"] == rival]
-        at = SPREAD * (shift - (len(rivals) - 1) / 2)
-        label, marker = RIVALS[rival]
-        ax.scatter(
-            [place + at for place in range(len(QUANTITIES)) for _ in of],
-            [one[name] for name in QUANTITIES for one in of],
-            s=22,
-            color=learner_colour(rival.split()[0]),
-            marker=marker,
-            label=label,
-            alpha=0.8,
-        )
-    ax.set_yscale("log")
-    ax.set_xticks(range(len(QUANTITIES)), list(QUANTITIES.values()))
-    log_ticks(ax.yaxis, [0.5, 0.75, 1, 1.5, 2, 3, 4])
-
-
-STUDY = Study(
-    "focus",
-    "Model error",
-    __doc__,
-    "Fitting the model to what the current policy meets makes it accurate there, where policy "
-    "learning needs it, rather than over all of the replay buffer (figure 1). The paper measures "
-    "no model error on MuJoCo tasks.",
-    add_recordings,
-    find,
-)
+    rows = {
+        (rival, quantity): f"{label}: {where}"
+        for quantity, where in QUANTITIES.items()
+        for rival, label in RIVALS.items()
+        if rival != "mle"
+    }
+    over = shares(results)
+    points = [
+        (one["recording"], row, one[quantity])
+        for (rival, quantity), row in rows.items()
+        for one in over
+        if one["rival"] == rival
+    ]
+    colours = {row: learner_colour(rival.split()[0]) for (rival, _), row in rows.items()}
+    return strips(colours, points, 1.0, "model error over MLE's", [0.5, 0.75, 1, 1.5, 2, 3, 4])

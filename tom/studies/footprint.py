@@ -7,18 +7,17 @@ that step makes anew. Runs must be whole, or small copies made with --keep buffe
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
-from functools import partial
 from operator import itemgetter
 from statistics import median
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from tom.reports.figures import learner_colour, log_ticks, strips
+from tom.reports.figures import learner_colour, strips
 from tom.studies.frozen import UNIFORM, WAYS
 from tom.studies.moments import (
-    QUESTIONS,
     add_measuring,
+    answers,
     comparisons,
     findings,
     measured,
@@ -26,8 +25,13 @@ from tom.studies.moments import (
     spanned,
     telling,
 )
-from tom.studies.study import Findings, Lab, Row, Study
+from tom.studies.study import Findings, Row
 
+TITLE = "Where the weights lie"
+CLAIM = (
+    "TOM weighs the replay buffer so that its distribution of transitions matches that of the "
+    "current policy (section 4). The paper measures the match on road-and-rocks alone."
+)
 LEAST = 0.03
 """distances below it are drawn at it: the axis is logarithmic"""
 CAPTION = (
@@ -42,13 +46,11 @@ def add_options(parser: ArgumentParser) -> None:
     add_measuring(parser, list(WAYS))
 
 
-def find(args: Namespace, lab: Lab) -> Findings:
-    outcomes = measured(args, lab)
-    figure = CAPTION, partial(footprint_figure, outcomes)
-    pairs = head_to_head(outcomes)
-    return findings(
-        args, "footprint", verdict(outcomes), summary(outcomes), outcomes, figure, pairs=pairs
-    )
+def find(args: Namespace) -> Findings:
+    outcomes = measured(args)
+    tables = {"summary": summary(outcomes), "head-to-head": head_to_head(outcomes)}
+    figures = {"footprint": (CAPTION, footprint_figure(outcomes))}
+    return findings(args, verdict(outcomes), tables, outcomes, figures)
 
 
 def summary(outcomes: Sequence[Row]) -> list[Row]:
@@ -63,19 +65,17 @@ def summary(outcomes: Sequence[Row]) -> list[Row]:
         of = [one for one in outcomes if one["way"] == way]
         score = over_recordings((one["env"], one["recording"], one["footprint"]) for one in of)
         of_policy = sum(one["ends_policy"] for one in of)
+        by_env: dict[str, list[float]] = {}
+        for one in of:
+            by_env.setdefault(one["env"], []).append(one["footprint"])
         rows.append(
             {
                 "way": way,
-                "distance": score.value,
-                "low": score.low,
-                "high": score.high,
+                **score.columns("distance"),
                 "below uniform": sum(one["footprint"] < 1 for one in of) / len(of),
-                **{
-                    env: median(one["footprint"] for one in of if one["env"] == env)
-                    for env in dict.fromkeys(one["env"] for one in of)
-                },
+                **{env: median(values) for env, values in by_env.items()},
                 "ess": median(one["ess"] for one in of),
-                "ends over policy's": sum(o["ends"] for o in of) / of_policy
+                "ends over policy's": sum(one["ends"] for one in of) / of_policy
                 if of_policy
                 else np.nan,
                 "n": len(of),
@@ -96,7 +96,6 @@ def head_to_head(outcomes: Sequence[Row]) -> list[Row]:
 
 def verdict(outcomes: Sequence[Row]) -> list[str]:
     """The tables in words."""
-    told = [row for row in summary(outcomes) if row["way"] != UNIFORM]
     said, counted = [], telling(outcomes)
     if counted:
         noise = [one["footprint_noise"] for one in counted if one["way"] == UNIFORM] or [np.nan]
@@ -106,29 +105,24 @@ def verdict(outcomes: Sequence[Row]) -> list[str]:
             "nearer to what the policy does than uniform weights, 0 the policy itself; two samples "
             f"of the policy are {median(noise):.2g} apart (median)."
         )
-    if told:
-        nearest = sorted(told, key=lambda row: row["distance"])[:3]
-        said.append(f"Nearest: {', '.join(map(_named, nearest))}.")
+    told = sorted(
+        (row for row in summary(outcomes) if row["way"] != UNIFORM), key=itemgetter("distance")
+    )
+    worse = [row for row in told if row["distance"] > 1]
+    for what, rows in (
+        ("Nearest", told[:3]),
+        ("Further from the policy than no weights at all", worse),
+    ):
+        if rows:
+            named = ", ".join(f"{row['way']} {spanned(row, 'distance')}" for row in rows)
+            said.append(f"{what}: {named}.")
     if lost := _moments(outcomes) - _moments(counted):
         where = ", ".join(f"{recording} at {step}" for recording, step in sorted(lost))
         said.append(
             "Not counted, because the unweighted buffer is no farther from the policy than two "
             f"samples of it are from each other, and distances are noise: {where}."
         )
-    if worse := [row for row in told if row["distance"] > 1]:
-        named = ", ".join(map(_named, worse))
-        said.append(f"Further from the policy than no weights at all: {named}.")
-    return said + [
-        f"{QUESTIONS[row['way'], row['against']]} {row['way']} less {row['against']}: "
-        f"{spanned(row, 'difference')}, nearer at {row['nearer at']} of "
-        f"{row['n']} moments, in most of them on {row['better on']} of {row['recordings']} "
-        f"recordings (sign test p = {row['p']:.2f})."
-        for row in head_to_head(outcomes)
-    ]
-
-
-def _named(row: Row) -> str:
-    return f"{row['way']} {spanned(row, 'distance')}"
+    return said + answers(head_to_head(outcomes), "difference", "nearer at")
 
 
 def _moments(outcomes: Sequence[Row]) -> set[tuple[str, int]]:
@@ -137,25 +131,11 @@ def _moments(outcomes: Sequence[Row]) -> set[tuple[str, int]]:
 
 def footprint_figure(outcomes: Sequence[Row]) -> Figure:
     """One panel per task: distance to the policy relative to uniform weights, log axis."""
-    drawn = [one for one in telling(outcomes) if one["way"] != UNIFORM]
+    points = [
+        (one["env"], one["way"], max(one["footprint"], LEAST))
+        for one in telling(outcomes)
+        if one["way"] != UNIFORM
+    ]
     colours = {name: learner_colour(way.learner or "") for name, way in WAYS.items()}
-    points = [(one["env"], one["way"], max(one["footprint"], LEAST)) for one in drawn]
-    cut = any(one["footprint"] < LEAST for one in drawn)
     what = "distance to the policy's footprint over that of uniform weights"
-    what += f" (drawn at {LEAST} if below it)" * cut
-    figure = strips(colours, points, 1.0, what, "every distance is lost in noise")
-    for ax in figure.axes:
-        ax.set_xscale("log")
-        log_ticks(ax.xaxis, [0.1, 0.2, 0.5, 1, 2, 4])
-    return figure
-
-
-STUDY = Study(
-    "footprint",
-    "Where the weights lie",
-    __doc__,
-    "TOM weighs the replay buffer so that its distribution of transitions matches that of the "
-    "current policy (section 4). The paper measures the match on road-and-rocks alone.",
-    add_options,
-    find,
-)
+    return strips(colours, points, 1.0, what, [0.1, 0.2, 0.5, 1, 2, 4])

@@ -6,7 +6,7 @@ The learner gets the same information as online, the newest transitions of a cha
 tested on fresh episodes of the policy of that fit.
 """
 
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import inf
@@ -60,46 +60,40 @@ def _tom(**settings: Any) -> Way:
     return Way("tom", {"tom": settings})
 
 
-def _with_halves(ways: Mapping[str, Way], halved: Container[str]) -> Iterator[tuple[str, Way]]:
-    """The ways, and after each of `halved` the same mixed half and half with uniform weights."""
-    share = {"uniform_share": 0.5}
-    for name, way in ways.items():
-        yield name, way
-        if name in halved:
-            label = f"half {way.label.partition(' (')[0]} + half uniform"
-            mixed = {"model": share, "rollout": share}
-            yield f"half-{name}", replace(way, settings=mixed, label=label, half=True)
-
-
 VALIDATED: Mapping[str, Any] = {"q_holdout": 0.2, "q_steps": 2000, "q_check_every": 25}
 PRINTED, MENDED = "tom-discounted", "tom-mended"
-
-WAYS: dict[str, Way] = dict(
-    _with_halves(
-        {
-            UNIFORM: Way("mle", label="MLE (uniform)"),
-            "newest": Way(None, label="newest seventh"),
-            "recency": Way("pmac", label="PMAC (recency)"),
-            "vagram": Way("vagram", label="VaGram"),
-            "ratio": Way("ratio", label="ratio"),
-            "pdml": Way("pdml", label="PDML"),
-            "policy-distance": Way("policy-distance", label="policy distance"),
-            "pmer": Way("pmer", label="PMER"),
-            "action-ratio": Way("action-ratio", label="action ratio"),
-            "tom-released": Way("tom", preset="released", label="TOM as released"),
-            PRINTED: replace(_tom(q_reset=True), label="TOM as printed"),
-            "tom-discounted-validated": _tom(**VALIDATED),
-            "tom-restart": _tom(q_reset=True, flow="restart"),
-            "tom-restart-validated": _tom(flow="restart", **VALIDATED),
-            "tom-stationary": _tom(q_reset=True, flow="stationary"),
-            "tom-stationary-validated": _tom(flow="stationary", **VALIDATED),
-            "tom-stationary-kl": _tom(q_reset=True, flow="stationary", divergence="kl"),
-            MENDED: Way("tom", preset="mended", label="TOM mended"),
-        },
-        {"recency", "ratio", "pdml", "policy-distance", "pmer", "action-ratio", MENDED},
-    )
-)
+HALVED = {"recency", "ratio", "pdml", "policy-distance", "pmer", "action-ratio", MENDED}
+"""the ways that are also mixed half and half with uniform weights"""
+WAYS: dict[str, Way] = {}
 """Q starts anew except in the recorded run"""
+for _name, _way in {
+    UNIFORM: Way("mle", label="MLE (uniform)"),
+    "newest": Way(None, label="newest seventh"),
+    "recency": Way("pmac", label="PMAC (recency)"),
+    "vagram": Way("vagram", label="VaGram"),
+    "ratio": Way("ratio", label="ratio"),
+    "pdml": Way("pdml", label="PDML"),
+    "policy-distance": Way("policy-distance", label="policy distance"),
+    "pmer": Way("pmer", label="PMER"),
+    "action-ratio": Way("action-ratio", label="action ratio"),
+    "tom-released": Way("tom", preset="released", label="TOM as released"),
+    PRINTED: replace(_tom(q_reset=True), label="TOM as printed"),
+    "tom-discounted-validated": _tom(**VALIDATED),
+    "tom-restart": _tom(q_reset=True, flow="restart"),
+    "tom-restart-validated": _tom(flow="restart", **VALIDATED),
+    "tom-stationary": _tom(q_reset=True, flow="stationary"),
+    "tom-stationary-validated": _tom(flow="stationary", **VALIDATED),
+    "tom-stationary-kl": _tom(q_reset=True, flow="stationary", divergence="kl"),
+    MENDED: Way("tom", preset="mended", label="TOM mended"),
+}.items():
+    WAYS[_name] = _way
+    if _name in HALVED:
+        WAYS[f"half-{_name}"] = replace(
+            _way,
+            settings={place: {"uniform_share": 0.5} for place in ("model", "rollout")},
+            label=f"half {_way.label.partition(' (')[0]} + half uniform",
+            half=True,
+        )
 
 MODELS: dict[str, Mapping[str, Any]] = {
     "linear": {"kind": "linear"},
@@ -144,6 +138,8 @@ class Case:
     models: tuple[str, ...] = ()
     rows: int = 6000  # fresh transitions of the policy
     made: str = ""  # time of creation: a new run under the same path is another case
+    updates: int = 1250  # of SAC (`improvement`): those between two fits of the paper's preset
+    episodes: int = 5  # of an evaluation
 
     @property
     def stream_seed(self) -> int:
@@ -181,6 +177,12 @@ def cases(
     ]
 
 
+def named(case: Case, run: RunReader) -> Row:
+    """The columns of an outcome that say whose it is."""
+    of = {"step": case.step, "way": case.way, "seed": case.seed}
+    return {"recording": run.run_id, "env": run.env} | of
+
+
 def examined(case: Case) -> Row:
     """Weigh the moment's buffer, and test the weights and the models fitted with them.
 
@@ -197,12 +199,7 @@ def examined(case: Case) -> Row:
     # Each way goes on with the random numbers that follow the fresh transitions.
     generator = torch.Generator().set_state(state)
     match = footprint_match(rows, weights, anew, step_scaling(rows), generator)
-    found = {
-        "recording": run.run_id,
-        "env": run.env,
-        "step": case.step,
-        "way": case.way,
-        "seed": case.seed,
+    found = named(case, run) | {
         "ess": ess(weights),
         "ends": float((weights * rows.terminated).sum() / weights.sum()),
         "ends_policy": float(anew.terminated.mean()),

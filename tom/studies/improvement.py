@@ -15,8 +15,7 @@ buffer, unweighted. Runs must be whole, or small copies made with --keep buffer 
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import replace
 from itertools import combinations
 from math import isfinite, nan
 from statistics import mean, median
@@ -55,6 +54,7 @@ from tom.studies.frozen import (
     cases,
     config_of,
     fitted,
+    named,
     sac_begins,
     weighting_of,
 )
@@ -68,11 +68,17 @@ from tom.studies.moments import (
     told,
     trial_of,
 )
-from tom.studies.study import Findings, Lab, Row, Study, check_known, whole
+from tom.studies.study import Findings, Row, check_known, compute, whole
 
+TITLE = "What weighting does for the policy"
+CLAIM = (
+    "Policies that are optimised in a model fitted by TOM's weights, from start states drawn by "
+    "them, earn higher returns (section 5.2). The paper compares whole runs, and never one of the "
+    "two places without the other."
+)
 PARTS = 5
 """evaluations of the policy, evenly spread over its updates"""
-PLACES = ("model", "starts", "both")
+PLACES = {"model": "the model alone", "starts": "the starts alone", "both": "both"}
 """where the weights act"""
 TEMPERATURE = "temperature/value"
 RULE = "config:model.termination"
@@ -96,26 +102,27 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument("--episodes", type=whole(1), default=5, help="of an evaluation [5]")
 
 
-def find(args: Namespace, lab: Lab) -> Findings:
+def find(args: Namespace) -> Findings:
     check_known("model", [args.model], MODELS)
-    runs, ways = _runs(args), chosen_ways(args)
-    asked = cases(runs, ways, args.seeds, args.moments, (args.model,))
-    trials = lab.compute(
-        improved, [Trial(case, args.updates, args.episodes) for case in asked], told
-    )
-    rows, figure = summary(trials), (CAPTION, partial(improvement_figure, trials))
-    return findings(
-        args, "improvement", verdict(trials, rows), rows, trials, figure, "Against uniform weights"
-    )
+    runs = _runs(args)
+    asked = cases(runs, chosen_ways(args), args.seeds, args.moments, (args.model,))
+    asked = [replace(case, updates=args.updates, episodes=args.episodes) for case in asked]
+    trials = compute(args, improved, asked, told)
+    rows, figures = summary(trials), {"improvement": (CAPTION, improvement_figure(trials))}
+    return findings(args, verdict(trials, rows), {"summary": rows}, trials, figures)
 
 
 def _runs(args: Namespace) -> list[RunReader]:
-    """The runs with moments from which SAC can go on.
+    """The runs with moments from which SAC can go on: old policies were kept without critics.
 
     Raises UserError if there are none, or the rule that ended a run's modelled episodes is unknown.
     """
     runs = chosen_runs(args)
-    able = [run for run in runs if _goes_on(run)]
+    able = [
+        run
+        for run in runs
+        if all(f"{CRITIC}weight_0" in _arrays(run, step) for step in run.policy_steps())
+    ]
     if not able or (args.runs and len(able) < len(runs)):
         lacking = next(run.run_id for run in runs if run not in able)
         raise UserError(f"run {lacking} kept no critics with its policies: name others")
@@ -127,33 +134,18 @@ def _runs(args: Namespace) -> list[RunReader]:
     return able
 
 
-def _goes_on(run: RunReader) -> bool:
-    """Whether SAC can go on from the run's policies: those of earlier versions have no critics."""
-    return all(f"{CRITIC}weight_0" in _arrays(run, step) for step in run.policy_steps())
-
-
 def _rule_of(run: RunReader) -> str | None:
     """The name of the rule that ended the run's modelled episodes; None: the task's own."""
     return run.config["config"].get("model", {}).get("termination")
 
 
-@dataclass(frozen=True)
-class Trial:
-    """A case with one model, the number of SAC updates, and the episodes of an evaluation."""
-
-    case: Case
-    updates: int = 1250  # those between two fits of the paper's preset
-    episodes: int = 5
-
-
-def improved(trial: Trial) -> Row:
+def improved(case: Case) -> Row:
     """Update the policy of a moment in models and from starts with these weights, or without.
 
     Mean-action returns: `before` the updates, and during them, mean over `PARTS` evaluations, with
     the weights in each of `PLACES`; with uniform weights these are the same. NaN: SAC diverged.
     """
-    case, way = trial.case, WAYS[trial.case.way]
-    run, seed, (model,) = RunReader(case.run), case.stream_seed, case.models
+    run, way, seed = RunReader(case.run), WAYS[case.way], case.stream_seed
     config, data, arrays = (
         config_of(run, way, seed),
         buffer_at(run, case.step),
@@ -166,29 +158,28 @@ def improved(trial: Trial) -> Row:
     starts = weighting.for_starts(config.rollout)
     starts = even if starts is None else starts
     settings = SacConfig.model_validate(run.config["config"]["sac"])
-    temperature, ends = _temperature(run, case.step, settings), _ends(run, rows, config)
+    steps, values = curve_points(run.metrics(), TEMPERATURE)
+    temperature = temperature_at(
+        case.step,
+        np.append(sac_begins(run), steps),
+        np.append(settings.initial_temperature, values),
+    )
+    ends = _ends(run, rows, config)
 
     def during(fit: DynamicsModel, weights: Tensor) -> float:
         sac = resumed_sac(arrays, settings, temperature, Streams(seed).torch("sac"))
-        return _return_during(sac, fit, ends, rows, weights, config, trial)
+        return _return_during(sac, fit, ends, rows, weights, config, case)
 
-    weighted = fitted(model, rows, weighting, config)
+    weighted = fitted(case.models[0], rows, weighting, config)
     both = during(weighted, starts)
-    in_model = in_starts = both
-    if case.way != UNIFORM:
-        plain = fitted(model, rows, Weighting(even), config)
-        in_model, in_starts = during(weighted, even), during(plain, starts)
-    return {
-        "recording": run.run_id,
-        "env": run.env,
-        "step": case.step,
-        "way": case.way,
-        "seed": case.seed,
-        "before": _evaluate(Evaluator(task(run.env), trial.episodes), policy.mean, seed),
-        "model": in_model,
-        "starts": in_starts,
-        "both": both,
+    found = named(case, run) | {
+        "before": _evaluate(Evaluator(task(run.env), case.episodes), policy.mean, seed)
     }
+    if case.way == UNIFORM:
+        return found | dict.fromkeys(PLACES, both)
+    plain = fitted(case.models[0], rows, Weighting(even), config)
+    in_starts = during(plain, starts)
+    return found | {"model": during(weighted, even), "starts": in_starts, "both": both}
 
 
 def _arrays(run: RunReader, step: int) -> Mapping[str, NDArray[Any]]:
@@ -197,13 +188,6 @@ def _arrays(run: RunReader, step: int) -> Mapping[str, NDArray[Any]]:
         return read_arrays(path)
     except DAMAGE as error:
         raise UserError(f"{path} is no stored policy ({reason(error)}): name another run") from None
-
-
-def _temperature(run: RunReader, step: int, settings: SacConfig) -> float:
-    """SAC's temperature at a step of the run."""
-    steps, values = curve_points(run.metrics(), TEMPERATURE)
-    begun = sac_begins(run), settings.initial_temperature
-    return temperature_at(step, np.append(begun[0], steps), np.append(begun[1], values))
 
 
 def temperature_at(step: int, steps: NDArray[Any], values: NDArray[Any]) -> float:
@@ -229,7 +213,7 @@ def _return_during(
     rows: TensorTransitions,
     weights: Tensor,
     config: OnlineConfig,
-    trial: Trial,
+    case: Case,
 ) -> float:
     """Mean of `PARTS` evaluations during the updates on rollouts in the model (lines 21-25)."""
     streams, known = Streams(config.seed), task(config.env)
@@ -240,10 +224,10 @@ def _return_during(
     generator, policy = streams.torch("rollout"), sac.policy
     starts = start_states(rows, weights, rollout.starts, generator)
     roll_out(model, policy, ends, starts, rollout.length, rollout, modelled, generator)
-    evaluator, returns, generator = Evaluator(known, trial.episodes), [], streams.torch("batches")
+    evaluator, returns, generator = Evaluator(known, case.episodes), [], streams.torch("batches")
     size, real = sac.config.batch_size, config.real_ratio
     for _ in range(PARTS):
-        updates = trial.updates // PARTS
+        updates = case.updates // PARTS
         batches = mixed_batches(replay, modelled, updates, size, real, generator)
         metrics = sac.updates(batches)
         if not all(bool(value.isfinite().all()) for value in metrics.values()):
@@ -281,17 +265,17 @@ def summary(trials: Sequence[Row]) -> list[Row]:
     envs = list(dict.fromkeys(trial["env"] for trial in plain))
 
     def row(way: str, what: str, values: Sequence[Value], wins: Row) -> Row:
-        finite = [(env, value) for env, _, value in values if isfinite(value)]
-        medians = {env: [value for of, value in finite if of == env] for env in envs}
+        by_env: dict[str, list[float]] = {env: [] for env in envs}
+        for env, _, value in values:
+            if isfinite(value):
+                by_env[env].append(value)
+        unjudged = dict.fromkeys(("better in trials", "n", "better on", "recordings", "p"), "")
         return {
             "way": way,
             "what": what,
-            **{env: median(of) if of else nan for env, of in medians.items()},
-            "better in trials": "",
+            **{env: median(of) if of else nan for env, of in by_env.items()},
+            **unjudged,
             "n": len(values),
-            "better on": "",
-            "recordings": "",
-            "p": "",
             **wins,
         }
 
@@ -300,24 +284,31 @@ def summary(trials: Sequence[Row]) -> list[Row]:
         for way, what, column in (("none", "return before", "before"), (UNIFORM, "return", "both"))
     ]
     for way in dict.fromkeys(trial["way"] for trial in trials if trial["way"] != UNIFORM):
-        for place in PLACES:
+        for place, where in PLACES.items():
             found = gaps(trials, way, place)
             signs, better = sign_test(found), sum(gap > 0 for _, _, gap in found)
             wins = {"better in trials": better, "better on": signs.above}
             wins |= {"recordings": signs.n, "p": signs.p}
-            where = "both" if place == "both" else f"the {place} alone"
             rows.append(row(way, f"difference, weights in {where}", found, wins))
     return rows
 
 
 def verdict(trials: Sequence[Row], rows: Sequence[Row]) -> list[str]:
-    """The table in words, the noise, and what cannot be said."""
+    """The table in words, how far chance moves a return, and what cannot be said."""
     keys = {trial_of(one) for one in trials}
     moments = {(recording, step) for recording, step, _ in keys}
     said = [
         f"{len(moments)} moments of {len({recording for recording, _ in moments})} runs, "
-        f"{len(keys)} trials of each way. {_noise(trials)}"
+        f"{len(keys)} trials of each way."
     ]
+    at: dict[tuple[str, str, int], list[float]] = {}
+    for one in (one for one in trials if one["way"] == UNIFORM):
+        at.setdefault((one["env"], one["recording"], one["step"]), []).append(one["both"])
+    apart: dict[str, list[float]] = {}
+    for (env, _, _), values in at.items():
+        apart.setdefault(env, []).extend(abs(a - b) for a, b in combinations(values, 2))
+    if noise := [f"{env} {median(of):.0f}" for env, of in apart.items() if of]:
+        said[0] += f" Two seeds of uniform weights differ by (median): {', '.join(noise)}."
     if lost := sum(not isfinite(sum(trial[place] for place in PLACES)) for trial in trials):
         said.append(f"SAC diverged in {lost} trials, which are left out.")
     for row in (row for row in rows if row["p"] != ""):
@@ -332,48 +323,14 @@ def verdict(trials: Sequence[Row], rows: Sequence[Row]) -> list[str]:
     return said
 
 
-def _noise(trials: Sequence[Row]) -> str:
-    """How far two seeds of uniform weights lie apart at the same moment, by task."""
-    by_moment: dict[tuple[str, str, int], list[float]] = {}
-    for one in (one for one in trials if one["way"] == UNIFORM):
-        by_moment.setdefault((one["env"], one["recording"], one["step"]), []).append(one["both"])
-    apart: dict[str, list[float]] = {}
-    for (env, _, _), values in by_moment.items():
-        apart.setdefault(env, []).extend(abs(a - b) for a, b in combinations(values, 2))
-    told = [f"{env} {median(of):.0f}" for env, of in apart.items() if of]
-    if not told:
-        return "One seed: how far chance moves a return is not known."
-    return f"Two seeds of uniform weights differ by (median): {', '.join(told)}."
-
-
 def improvement_figure(trials: Sequence[Row]) -> Figure:
     """A row for every way and each place where its weights act."""
-    colours = {
-        f"{name}, {place}": learner_colour(way.learner or "")
-        for name, way in WAYS.items()
-        for place in PLACES
+    rows = {
+        f"{name}, {place}": (name, place) for name in WAYS for place in PLACES if name != UNIFORM
     }
-    points = [
-        (env, f"{name}, {place}", gap)
-        for name in WAYS
-        if name != UNIFORM
-        for place in PLACES
-        for env, _, gap in gaps(trials, name, place)
-    ]
-    what = "return less that with uniform weights"
-    figure = strips(colours, points, 0.0, what, "uniform weights alone")
+    points = [(env, row, gap) for row, of in rows.items() for env, _, gap in gaps(trials, *of)]
+    colours = {row: learner_colour(WAYS[way].learner or "") for row, (way, _) in rows.items()}
+    figure = strips(colours, points, 0.0, "return less that with uniform weights")
     for ax in figure.axes:
         ax.set_xscale("symlog", linthresh=100)
     return figure
-
-
-STUDY = Study(
-    "improvement",
-    "What weighting does for the policy",
-    __doc__,
-    "Policies that are optimised in a model fitted by TOM's weights, from start states drawn by "
-    "them, earn higher returns (section 5.2). The paper compares whole runs, and never one of the "
-    "two places without the other.",
-    add_options,
-    find,
-)

@@ -88,36 +88,24 @@ def occupancy(mdp: Mdp, policy: Array, flow: FlowName = "discounted") -> Array:
     `stationary` is the stream as it is collected: no discount, mass 1. Raises ArithmeticError if
     the stationary distribution is not unique (several closed sets of states and no end).
     """
-    into = np.einsum("ij,kli->ijkl", policy, _following(mdp, flow))  # (i, j) out of (k, l)
-    step = into.reshape(policy.size, policy.size)
-    if flow == "stationary":
-        return _stationary(step).reshape(policy.shape)
-    start = (1 - mdp.discount) * mdp.start[:, None] * policy
-    system = np.eye(policy.size) - mdp.discount * step
-    return np.linalg.solve(system, start.ravel()).reshape(policy.shape)
+    following = mdp.transition * ~mdp.terminal  # the next state's distribution, (S, A, S)
+    if flow != "discounted":  # after an end, that of a new start
+        following += (mdp.transition * mdp.terminal).sum(2, keepdims=True) * mdp.start
+    step = np.einsum("ij,kli->ijkl", policy, following).reshape(policy.size, policy.size)
+    if flow != "stationary":
+        start = (1 - mdp.discount) * mdp.start[:, None] * policy
+        system = np.eye(policy.size) - mdp.discount * step  # (i, j) out of (k, l)
+        return np.linalg.solve(system, start.ravel()).reshape(policy.shape)
+    system = np.eye(len(step)) - step
+    system[0] = 1.0  # the rows sum to zero, so one of them can be replaced by the mass constraint
+    if np.linalg.matrix_rank(system) < len(step):
+        raise ArithmeticError("the stream has no distribution of its own: no episode ends")
+    return np.linalg.solve(system, np.eye(len(step))[0]).clip(min=0.0).reshape(policy.shape)
 
 
 def transition_occupancy(mdp: Mdp, policy: Array, flow: FlowName = "discounted") -> Array:
     """d^pi(s, a, s') (S, A, S) = T(s'|s, a) d^pi(s, a) (paper, eq. 8)."""
     return occupancy(mdp, policy, flow)[:, :, None] * mdp.transition
-
-
-def _following(mdp: Mdp, flow: FlowName) -> Array:
-    """The distribution of the next state, (S, A, S); after an end zero, or that of a new start."""
-    alive = mdp.transition * ~mdp.terminal
-    if flow == "discounted":
-        return alive
-    ends = (mdp.transition * mdp.terminal).sum(2, keepdims=True)
-    return alive + ends * mdp.start
-
-
-def _stationary(step: Array) -> Array:
-    """The distribution d (N,) with d = step d, the columns of `step` (N, N) summing to 1."""
-    system = np.eye(len(step)) - step
-    system[0] = 1.0  # the rows sum to zero, so one of them can be replaced by the mass constraint
-    if np.linalg.matrix_rank(system) < len(step):
-        raise ArithmeticError("the stream has no distribution of its own: no episode ends")
-    return np.linalg.solve(system, np.eye(len(step))[0]).clip(min=0.0)
 
 
 @dataclass(frozen=True)
@@ -151,7 +139,8 @@ def sample_stream(
     mdp: Mdp, policy: Array, n: int, rng: np.random.Generator
 ) -> tuple[Transitions, NDArray[np.intp]]:
     """n steps of the policy in order, a new start after every end, as `sample_transitions`."""
-    starts, actions, moves = (_ladder(p) for p in (mdp.start, policy, mdp.transition))
+    sums = (p.cumsum(-1) for p in (mdp.start, policy, mdp.transition))
+    starts, actions, moves = (p / p[..., -1:] for p in sums)  # the last one is exactly 1
     index = np.empty((n, 3), np.intp)
     s = starts.searchsorted(rng.random(), "right")
     for row, (u, v, w) in zip(index, rng.random((n, 3)), strict=True):
@@ -160,12 +149,6 @@ def sample_stream(
         row[:] = s, a, s_next
         s = starts.searchsorted(w, "right") if mdp.terminal[s_next] else s_next
     return _one_hot(mdp, index), index
-
-
-def _ladder(p: Array) -> Array:
-    """Cumulative probabilities over the last axis; the last one is exactly 1."""
-    total = p.cumsum(-1)
-    return total / total[..., -1:]
 
 
 def _one_hot(mdp: Mdp, index: NDArray[np.intp]) -> Transitions:
@@ -222,30 +205,23 @@ class OccupancyProblem:
         p = transition_occupancy(mdp, policy, flow) if made is None else made / made.sum()
         with np.errstate(divide="ignore"):  # r = -inf for a transition that the policy never makes
             log_ratio = np.log(p[index] / q)
-        operator, inflow = _constraint(mdp, policy, index, flow)
+        s, a, s_next = index
+        rows, discount = np.arange(len(s)), 1.0 if flow == "stationary" else mdp.discount
+        start = mdp.start[:, None] * policy
+        operator = np.zeros((len(s), *policy.shape))
+        operator[rows, s_next] = discount * (policy * ~mdp.terminal[:, None])[s_next]
+        if flow != "discounted":
+            operator[mdp.terminal[s_next]] += discount * start
+        operator[rows, s, a] -= 1
+        operator, inflow = operator.reshape(len(s), -1), (1 - discount) * start.ravel()
+        if flow == "stationary":
+            operator = np.column_stack((operator, -np.ones(len(s))))
+            inflow = np.eye(policy.size + 1)[-1]
         return OccupancyProblem(index, q, log_ratio, operator, inflow)
 
     def residual(self, weights: Array) -> Array:
         """The residual of the flow constraint at q w, (S A); stationary: last that of the mass."""
         return self.inflow + self.flow.T @ (self.replay * weights)
-
-
-def _constraint(
-    mdp: Mdp, policy: Array, index: tuple[NDArray[np.intp], ...], flow: FlowName
-) -> tuple[Array, Array]:
-    """`flow` and `inflow` of an `OccupancyProblem` over the transitions at `index`."""
-    s, a, s_next = index
-    rows, discount = np.arange(len(s)), 1.0 if flow == "stationary" else mdp.discount
-    start = mdp.start[:, None] * policy
-    operator = np.zeros((len(s), *policy.shape))
-    operator[rows, s_next] = discount * (policy * ~mdp.terminal[:, None])[s_next]
-    if flow != "discounted":
-        operator[mdp.terminal[s_next]] += discount * start
-    operator[rows, s, a] -= 1
-    operator = operator.reshape(len(s), -1)
-    if flow != "stationary":
-        return operator, (1 - discount) * start.ravel()
-    return np.column_stack((operator, -np.ones(len(s)))), np.eye(policy.size + 1)[-1]
 
 
 @dataclass(frozen=True)

@@ -26,13 +26,11 @@ from tom.reports.report import seeds as in_short
 from tom.studies.frozen import ERROR, NEWEST, UNIFORM, WAYS, cases, examined, moments
 from tom.studies.study import (
     Findings,
-    Lab,
     Row,
-    Table,
-    add_env,
     add_jobs,
-    add_store,
+    add_runs,
     check_known,
+    compute,
     tasks,
     whole,
 )
@@ -40,8 +38,6 @@ from tom.studies.study import (
 if TYPE_CHECKING:  # the studio reads outcomes without loading matplotlib
     from matplotlib.figure import Figure
 
-OF_MEASURING = ("env", "moments", "seeds", "ways", "store", "jobs", "rows", "models")
-"""the options that say what is measured and how"""
 KINDS: Mapping[Any, Any] = {"recording": str, "env": str, "step": int, "way": str, "seed": int}
 MEASURES = ("ess", "ends", "ends_policy", "footprint", "footprint_uniform", "footprint_noise")
 """the columns of an outcome: the types of those that are no measures, and the measures"""
@@ -52,12 +48,11 @@ MEASURED = "measured: "
 def add_moments(parser: ArgumentParser, ways: Sequence[str]) -> None:
     """Add the options that choose runs, their moments, and ways of weighing."""
     parser.add_argument("runs", nargs="*", metavar="RUN", help="[all of the store that can]")
-    add_env(parser, list(ENVS), "[all of ours]")
+    add_runs(parser, ENVS, "[all of ours]")
     parser.add_argument("--moments", type=whole(1), default=8, help="of each run at most [8]")
     parser.add_argument("--seeds", nargs="+", type="seed", default=[0], help="[0]")
     known = ", ".join(WAYS)
     parser.add_argument("--ways", nargs="+", default=list(ways), metavar="WAY", help=known)
-    add_store(parser)
     add_jobs(parser)
 
 
@@ -74,26 +69,29 @@ def chosen_runs(args: Namespace) -> list[RunReader]:
     """
     store, envs = Store(args.store), tasks(args.env)
     named = [store.run(name) for name in args.runs]
-    for run in named:
-        if not _usable(run):
-            raise UserError(
-                f"run {run.run_id} has no moment: it kept no policy of its fits, or no buffer, or "
-                f"it ended less than {NEWEST:,} steps after its exploration"
-            )
-        task(run.env)
-    runs = named or [run for run in store.runs() if run.env in envs and _usable(run)]
-    if not runs:
+    able = [
+        run
+        for run in named or store.runs()
+        if run.is_run
+        and run.env != ROAD
+        and (named or run.env in envs)
+        and not {"buffer", "policies"} & set(run.left_out)
+        and moments(run, 1)
+    ]
+    if lacking := [run.run_id for run in named if run not in able]:
+        raise UserError(
+            f"{', '.join(lacking)} has no moment: no policy of a fit at least {NEWEST:,} steps "
+            "after exploration, or no buffer"
+        )
+    if not able:
         raise UserError(
             f"{args.store}/ has no run with a buffer and policies of fits at least {NEWEST:,} "
             "steps after exploration: "
             f"tom record-sac --env {min(envs, key=task_rank)} --steps 20000 makes one"
         )
-    return sorted(runs, key=lambda run: (task_rank(run.env), run.run_id))
-
-
-def _usable(run: RunReader) -> bool:
-    has_both = not {"buffer", "policies"} & set(run.left_out)
-    return run.is_run and run.env != ROAD and has_both and bool(moments(run, 1))
+    for run in named:
+        task(run.env)
+    return sorted(able, key=lambda run: (task_rank(run.env), run.run_id))
 
 
 def add_measuring(parser: ArgumentParser, ways: Sequence[str], models: Sequence[str] = ()) -> None:
@@ -103,53 +101,46 @@ def add_measuring(parser: ArgumentParser, ways: Sequence[str], models: Sequence[
     if models:
         known = ", ".join(f"'{name}'" for name in models)
         parser.add_argument("--models", nargs="+", default=list(models), help=f"[{known}]")
-    parser.set_defaults(usual={name: parser.get_default(name) for name in OF_MEASURING})
+    parser.set_defaults(usual=vars(parser.parse_args([])))
     parser.add_argument(
         "--from", dest="table", type=Path, metavar="FILE",
         help="moments.csv of an earlier report: only its tables and figures are made anew",
     )  # fmt: skip
 
 
-def measured(args: Namespace, lab: Lab, models: Sequence[str] = ()) -> list[Row]:
-    """The outcome of every case, or those of an earlier report.
+def measured(args: Namespace, models: Sequence[str] = ()) -> list[Row]:
+    """The outcome of every case, or those of an earlier report, to the bit.
 
-    Raises UserError for options that have no meaning if nothing is measured.
+    Raises UserError for a table that is none, or options that have no meaning beside one.
     """
     if not args.table:
         asked = cases(
             chosen_runs(args), chosen_ways(args), args.seeds, args.moments, models, args.rows
         )
-        return lab.compute(examined, asked, told)
-    given = [name for name, usual in args.usual.items() if getattr(args, name, None) != usual]
-    if too_many := [*(f"--{option}" for option in given), *args.runs]:
+        return compute(args, examined, asked, told)
+    if given := [name for name, usual in args.usual.items() if getattr(args, name) != usual]:
         raise UserError(
-            "--from takes all that its file holds, as it was measured: leave out "
-            f"{' '.join(too_many)}"
+            "--from takes all that its file holds, as it was measured: leave out: "
+            f"{', '.join(given)}"
         )
-    return read_outcomes(args.table, bool(models))
+    try:
+        table = pd.read_csv(args.table, dtype=KINDS, float_precision="round_trip")
+        outcomes = [dict(row) for row in table.to_dict("records")]
+        if {*KINDS, *MEASURES}.difference(table) or not outcomes:
+            raise ValueError("it has no outcome")
+        if models and not models_of(outcomes):
+            raise ValueError("it has no model's errors")
+    except OSError as error:
+        raise UserError(f"cannot read {args.table}: {error}") from error
+    except ValueError as error:
+        why = reason(error)
+        raise UserError(f"{args.table} is no moments.csv of this study ({why})") from error
+    return outcomes
 
 
 def told(one: Row) -> str:
     """Names an outcome in the line of progress."""
     return f"{one['recording']} at {one['step']}: {one['way']}"
-
-
-def read_outcomes(path: Path, models: bool) -> list[Row]:
-    """The outcomes of `moments.csv` beside a report, to the bit.
-
-    Raises UserError if `path` cannot be read, is no such table, or lacks the errors of `models`.
-    """
-    try:
-        table = pd.read_csv(path, dtype=KINDS, float_precision="round_trip")
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error}") from error
-    except ValueError as error:
-        raise UserError(f"{path} is no moments.csv of this study ({reason(error)})") from error
-    outcomes = [dict(row) for row in table.to_dict("records")]
-    lacking = {*KINDS, *MEASURES}.difference(table) or table.empty
-    if lacking or (models and not models_of(outcomes)):
-        raise UserError(f"{path} has no outcome of this study: name the moments.csv of its report")
-    return outcomes
 
 
 def models_of(outcomes: Sequence[Row]) -> list[str]:
@@ -160,44 +151,27 @@ def models_of(outcomes: Sequence[Row]) -> list[str]:
 
 def findings(
     args: Namespace,
-    name: str,
     said: Sequence[str],
-    rows: Sequence[Row],
+    tables: Mapping[str, Sequence[Row]],
     outcomes: Sequence[Row],
-    figure: tuple[str, "Callable[[], Figure]"],
-    title: str = "Every way",
-    pairs: Sequence[Row] | None = None,
+    figures: Mapping[str, tuple[str, "Figure"]],
 ) -> Findings:
-    """What a study of moments found: `rows` is its summary, `pairs` are questions of two ways."""
-    of_pairs = {} if pairs is None else {"head-to-head": pairs}
-    tables = [Table("Two ways at the same moments", table) for table in of_pairs.values()]
-    return Findings(
-        said=said,
-        files={"summary": rows, **of_pairs, "moments": outcomes},
-        figures={name: figure},
-        tables=[Table(title, rows), *tables],
-        origin=_origin(outcomes, getattr(args, "table", None)),
-        json={"summary": rows},
-    )
-
-
-def _origin(outcomes: Sequence[Row], table: Path | None) -> dict[str, str]:
-    """The number of moments, the seeds and runs, and how a table was measured that was read."""
+    """What a study of moments found, with the origin of its outcomes."""
     recordings = dict.fromkeys(one["recording"] for one in outcomes)
+    at = {(one["recording"], one["step"]) for one in outcomes}
     origin = {
-        "n": f"{len({(one['recording'], one['step']) for one in outcomes})} moments of "
-        f"{len(recordings)} runs",
+        "n": f"{len(at)} moments of {len(recordings)} runs",
         "seeds": in_short([one["seed"] for one in outcomes]),
         "runs": ", ".join(recordings),
     }
-    if table is None:
-        return origin
-    try:  # the report beside it
-        old = dict(json.loads((table.parent / WORDS).read_text())["origin"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return origin
-    first = {key: text for key, text in old.items() if key.startswith(MEASURED)}
-    return origin | (first or {MEASURED + key: text for key, text in old.items()})
+    table = getattr(args, "table", None)
+    if table and (table.parent / WORDS).is_file():  # how the table was measured that was read
+        old = json.loads((table.parent / WORDS).read_text())["origin"]
+        first = {key: text for key, text in old.items() if key.startswith(MEASURED)}
+        origin |= first or {MEASURED + key: text for key, text in old.items()}
+    titles = {"summary": "Every way", "head-to-head": "Two ways at the same moments"}
+    shown = {name: title for name, title in titles.items() if name in tables}
+    return Findings(said, {**tables, "moments": outcomes}, shown, figures, origin=origin)
 
 
 # What is measured at a moment.
@@ -319,9 +293,7 @@ def comparisons(
             "way": way,
             "against": against,
             **more,
-            measure: whole.value,
-            "low": whole.low,
-            "high": whole.high,
+            **whole.columns(measure),
             better_at: sum(gap < 0 for _, _, gap in gaps),
             "n": len(gaps),
             "better on": signs.n - signs.above,
@@ -329,6 +301,21 @@ def comparisons(
             "p": signs.p,
             **{env: over_recordings(of).value if of else nan for env, of in in_task.items()},
         }
+
+
+def answers(pairs: Sequence[Row], measure: str, better_at: str) -> list[str]:
+    """The rows of `comparisons` in words, a sentence for each question."""
+    said: dict[tuple[str, str], list[str]] = {}
+    for row in pairs:
+        said.setdefault((row["way"], row["against"]), []).append(
+            f"{row.get('model', '')} {spanned(row, measure)} ({better_at} {row[better_at]} of "
+            f"{row['n']} moments, most of them on {row['better on']} of {row['recordings']} "
+            f"recordings, sign test p = {row['p']:.2f})".lstrip()
+        )
+    return [
+        f"{QUESTIONS[way, against]} {measure} of {way} and {against}: {'; '.join(told)}."
+        for (way, against), told in said.items()
+    ]
 
 
 def spanned(row: Row, name: str) -> str:

@@ -7,13 +7,10 @@ to weigh, are left out, and so is MLE, which never weighs. Nothing is trained.
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from math import isfinite
+from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -21,22 +18,18 @@ from tom.envs import ENVS, ROAD, task_rank
 from tom.errors import UserError
 from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader, Store
-from tom.reports.figures import NEUTRAL, new_figure
+from tom.reports.figures import Panel, profile_figure
 from tom.reports.report import origin_of_runs
 from tom.studies.returns_cells import PAPER_ENVS
-from tom.studies.study import (
-    Findings,
-    Lab,
-    Row,
-    Study,
-    Table,
-    add_env,
-    add_store,
-    check_known,
-    tasks,
-)
+from tom.studies.study import Findings, Row, add_runs, check_known, tasks
 from tom.training.presets import PRESETS
 
+TITLE = "Weights as a run goes on"
+CLAIM = (
+    "TOM's weights are not high only at the very end of the replay buffer, where data is nearly "
+    "optimal: it often pays attention to transitions that were collected at earlier stages, as for "
+    "Hopper at step 120 000 and Walker2d at 200 000 (appendix, online progression)."
+)
 Array = NDArray[Any]
 STEPS = 5
 UNIFORM = 0.999  # effective sample size (share) from which weights count as uniform
@@ -46,12 +39,11 @@ CAPTION = "Mean weight in each hundredth of the replay buffer, oldest transition
 
 
 def add_options(parser: ArgumentParser) -> None:
-    add_env(parser, list(ENVS), "[all of ours]")
+    add_runs(parser, ENVS, "[all of ours]")
     parser.add_argument("--preset", default="paper", metavar="PRESET", help="[paper]")
-    add_store(parser)
 
 
-def find(args: Namespace, lab: Lab) -> Findings:
+def find(args: Namespace) -> Findings:
     check_known("preset", [args.preset], PRESETS)
     envs = tasks(args.env)
     found = panels([run for run in Store(args.store).runs() if run.env in envs], args.preset)
@@ -60,47 +52,23 @@ def find(args: Namespace, lab: Lab) -> Findings:
             f"{args.store}/ has no such run that weighed its buffer: tom sweep --env "
             f"{' '.join(envs)} --learner tom pmac vagram --preset {args.preset} makes them"
         )
-    table = rows(found)
+    told = rows(found)
     return Findings(
-        said=verdict(found),
-        files={"profiles": _profiles(found), "online": table},
-        figures={"online": (CAPTION, partial(online_figure, found))},
-        tables=[Table("Every profile", table)],
+        said=verdict(told),
+        files={"profiles": _profiles(found), "online": told},
+        titles={"online": "Every profile"},
+        figures={"online": (CAPTION, online_figure(found))},
         origin=origin_of_runs([panel.run for panel in found]),
-        json={"rows": table},
     )
 
 
-@dataclass(frozen=True)
-class RunProfiles:
+class RunProfiles(NamedTuple):
     """The weight profiles of one run at F fits: `bins` (F, bins), oldest transitions first."""
 
     run: RunReader
     env_step: Array
     bins: Array
     ess: Array
-
-    @property
-    def newest(self) -> slice:
-        """The newest tenth of the bins, one at the least."""
-        return slice(-max(round(self.bins.shape[1] * NEWEST), 1), None)
-
-    @property
-    def share_newest(self) -> Array:
-        """Share of all weight on the newest tenth of the buffer, (F,)."""
-        return np.nansum(self.bins[:, self.newest], 1) / np.nansum(self.bins, 1)
-
-    @property
-    def excess(self) -> Array:
-        """The share of all weight that each bin has above its even share, (F, bins)."""
-        even = 1 / np.isfinite(self.bins).sum(1, keepdims=True)
-        share = self.bins / np.nansum(self.bins, 1, keepdims=True)
-        return np.nan_to_num(np.maximum(share - even, 0))
-
-    @property
-    def peak(self) -> Array:
-        """Position in [0, 1) of the bin with the highest mean weight, 0 the oldest, (F,)."""
-        return np.nanargmax(self.bins, 1) / self.bins.shape[1]
 
 
 def panels(runs: Sequence[RunReader], preset: str) -> list[RunProfiles]:
@@ -115,121 +83,84 @@ def panels(runs: Sequence[RunReader], preset: str) -> list[RunProfiles]:
         fits = run.profiles()
         weighed = np.flatnonzero((fits.ess < UNIFORM) & np.isfinite(fits.bins).any(1))
         if len(weighed):
-            spread = np.linspace(0, len(weighed) - 1, min(STEPS, len(weighed))).round()
-            chosen = weighed[spread.astype(int)]
-            kept = fits.env_step[chosen], fits.bins[chosen], fits.ess[chosen]
-            found.append(RunProfiles(run, *kept))
+            at = np.linspace(0, len(weighed) - 1, min(STEPS, len(weighed))).round()
+            at = weighed[at.astype(int)]
+            found.append(RunProfiles(run, fits.env_step[at], fits.bins[at], fits.ess[at]))
     return found
 
 
 def rows(panels: Sequence[RunProfiles]) -> list[Row]:
-    """One row per profile: where its weight is."""
-    return [
-        {
-            "env": panel.run.env,
-            "learner": LEARNERS[panel.run.learner].label,
-            "seed": panel.run.seed,
-            "step": int(panel.env_step[i]),
-            "newest tenth": float(panel.share_newest[i]),
-            "peak at": float(panel.peak[i]),
-            "ess": float(panel.ess[i]),
-            "run": panel.run.run_id,
-        }
-        for panel in panels
-        for i in range(len(panel.env_step))
-    ]
+    """One row per profile: the share of all weight on the newest tenth of the buffer, the position
+    of the bin with the highest mean weight in [0, 1), 0 the oldest, and which share of the weight
+    above even weights lies on the newest tenth, NaN if they are nearly even."""
+    found = []
+    for run, env_step, bins, ess in panels:
+        newest = slice(-max(round(bins.shape[1] * NEWEST), 1), None)
+        even = 1 / np.isfinite(bins).sum(1, keepdims=True)
+        excess = np.nan_to_num(np.maximum(bins / np.nansum(bins, 1, keepdims=True) - even, 0))
+        for i, above in enumerate(excess):
+            found.append(
+                {
+                    "env": run.env,
+                    "learner": LEARNERS[run.learner].label,
+                    "seed": run.seed,
+                    "step": int(env_step[i]),
+                    "newest tenth": float(np.nansum(bins[i, newest]) / np.nansum(bins[i])),
+                    "peak at": float(np.nanargmax(bins[i]) / bins.shape[1]),
+                    "excess there": float(above[newest].sum() / above.sum())
+                    if above.sum() >= EVEN
+                    else np.nan,
+                    "ess": float(ess[i]),
+                    "run": run.run_id,
+                }
+            )
+    return found
 
 
 def _profiles(panels: Sequence[RunProfiles]) -> Iterator[Row]:
-    for panel in panels:
-        run = {"env": panel.run.env, "learner": panel.run.learner, "run": panel.run.run_id}
-        for step, bins in zip(panel.env_step, panel.bins, strict=True):
+    for run, env_step, profiles, _ in panels:
+        of = {"env": run.env, "learner": run.learner, "run": run.run_id}
+        for step, bins in zip(env_step, profiles, strict=True):
             for number, weight in enumerate(bins.tolist()):
-                yield {**run, "step": int(step), "bin": number, "mean_weight": weight}
+                yield {**of, "step": int(step), "bin": number, "mean_weight": weight}
 
 
-def verdict(panels: Sequence[RunProfiles]) -> list[str]:
+def verdict(rows: Sequence[Row]) -> list[str]:
     """For each learner, how much of its weight is not at the newest end of the buffer.
 
     That is also true of even weights. So the paper's claim is tested on profiles that are not even,
     and on their excess over even weights, in the paper's tasks.
     """
     said = []
-    for name in dict.fromkeys(panel.run.learner for panel in panels):
-        own = [panel for panel in panels if panel.run.learner == name]
-        share = np.concatenate([panel.share_newest for panel in own])
-        peak = np.concatenate([panel.peak for panel in own])
+    for name in dict.fromkeys(row["learner"] for row in rows):
+        own = [row for row in rows if row["learner"] == name]
+        share = [row["newest tenth"] for row in own]
         said.append(
-            f"{LEARNERS[name].label}: in {int((share < 0.5).sum())} of {len(share)} profiles most "
-            f"weight lies outside the newest tenth (median share there {np.median(share):.2f}), "
-            f"and in {int((peak < 1 - NEWEST).sum())} the peak does; {len(own)} runs, "
-            f"{len(own)} environments, one seed each."
+            f"{name}: in {sum(one < 0.5 for one in share)} of {len(share)} profiles most weight "
+            f"lies outside the newest tenth (median share there {np.median(share):.2f}), and in "
+            f"{sum(row['peak at'] < 1 - NEWEST for row in own)} the peak does; "
+            f"{len({row['run'] for row in own})} runs, one seed each."
         )
-        of_paper = [panel for panel in own if panel.run.env in PAPER_ENVS]
-        if name == "tom" and of_paper:
-            said.append(_held_against_paper(of_paper))
+    toms = [row for row in rows if row["learner"] == LEARNERS["tom"].label]
+    if of_paper := [row["excess there"] for row in toms if row["env"] in PAPER_ENVS]:
+        uneven = [share for share in of_paper if isfinite(share)]
+        agree = sum(share < 0.5 for share in uneven)
+        says = ("Half of them is no verdict.", "So the paper says.", "The paper says otherwise.")
+        said.append(
+            "What lies above even weights lies mostly before the newest tenth in "
+            f"{agree} of the {len(uneven)} profiles of TOM that are not nearly even. "
+            f"{says[int(np.sign(2 * agree - len(uneven)))]}"
+            if uneven
+            else "All of TOM's are nearly even: nothing to hold against the paper."
+        )
     return said
-
-
-def _held_against_paper(panels: Sequence[RunProfiles]) -> str:
-    """Whether most uneven profiles have most of their excess before the newest tenth."""
-    newest = [
-        excess[panel.newest].sum() / excess.sum()
-        for panel in panels
-        for excess in panel.excess
-        if excess.sum() >= EVEN
-    ]
-    if not newest:
-        return "All of TOM's are nearly even: nothing to hold against the paper."
-    agree = sum(share < 0.5 for share in newest)
-    says = ("Half of them is no verdict.", "So the paper says.", "The paper says otherwise.")
-    return (
-        f"What lies above even weights lies mostly before the newest tenth in {agree} of the "
-        f"{len(newest)} profiles of TOM that are not nearly even. "
-        f"{says[int(np.sign(2 * agree - len(newest)))]}"
-    )
 
 
 def online_figure(panels: Sequence[RunProfiles]) -> Figure:
     """A panel for each environment and learner; later fits are darker."""
-    envs = list(dict.fromkeys(panel.run.env for panel in panels))
-    learners = sorted({panel.run.learner for panel in panels}, key=learner_rank)
-    figure = new_figure(2.9 * len(learners) + 0.4, 2.2 * len(envs) + 0.3)
-    axes = figure.subplots(len(envs), len(learners), squeeze=False)
-    for line, env in zip(axes, envs, strict=True):
-        for ax, learner in zip(line, learners, strict=True):
-            own = [p for p in panels if (p.run.env, p.run.learner) == (env, learner)]
-            if own:
-                _draw(ax, own[0])
-            else:
-                ax.set(xticks=[], yticks=[])
-                ax.text(0.5, 0.5, "no such run", transform=ax.transAxes, ha="center")
-            ax.set_title(LEARNERS[learner].label)
-        line[0].set_ylabel(f"{env}\nmean weight")
-    for ax in axes[-1]:
-        ax.set_xlabel("position in the buffer, %")
-    return figure
-
-
-def _draw(ax: Axes, panel: RunProfiles) -> None:
-    bins = panel.bins.shape[1]
-    x = (np.arange(bins) + 0.5) * 100 / bins
-    shades = colormaps["viridis_r"](np.linspace(0.1, 1.0, len(panel.env_step)))
-    ax.axhline(1.0, color=NEUTRAL, linewidth=0.8, linestyle="--")
-    for step, profile, shade in zip(panel.env_step, panel.bins, shades, strict=True):
-        ax.plot(x, profile, color=shade, linewidth=1.0, label=f"step {step}")
-    ax.set_xlim(0, 100)
-    ax.set_ylim(bottom=0)
-    ax.legend(fontsize=6.5, frameon=True, edgecolor="none")  # framed, because curves may cross it
-
-
-STUDY = Study(
-    "online",
-    "Weights as a run goes on",
-    __doc__,
-    "TOM's weights are not high only at the very end of the replay buffer, where data is nearly "
-    "optimal: it often pays attention to transitions that were collected at earlier stages, as for "
-    "Hopper at step 120 000 and Walker2d at 200 000 (appendix, online progression).",
-    add_options,
-    find,
-)
+    learners = sorted({run.learner for run, *_ in panels}, key=learner_rank)
+    drawn: dict[str, dict[str, Panel]] = {}
+    for run, env_step, bins, _ in panels:
+        fits, name = [f"step {step}" for step in env_step], run.learner
+        drawn.setdefault(run.env, {})[name] = Panel(LEARNERS[name].label, name, bins, fits=fits)
+    return profile_figure({env: list(map(of.get, learners)) for env, of in drawn.items()})

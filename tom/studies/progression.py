@@ -7,9 +7,8 @@ on the position). The median over TOM's seeds is judged, of the first preset.
 """
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from math import nan
 from pathlib import Path
 from statistics import median
@@ -21,7 +20,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tom.analysis.ordered_data import of_run
-from tom.analysis.progression import DECILES, LATE, Progression, progression, same_profile
+from tom.analysis.progression import DECILES, LATE, progression, same_profile
 from tom.analysis.weighing import Weighed, weigh
 from tom.config import RunConfig, TomConfig
 from tom.envs import task
@@ -30,25 +29,49 @@ from tom.record import RunReader
 from tom.reports.figures import Panel, profile_figure
 from tom.reports.report import seeds as in_short
 from tom.reports.weighing_files import profile_rows, profiles, write_weights
-from tom.studies.recordings import add_recordings, recordings
-from tom.studies.study import Findings, Lab, Row, Study, as_the_paper_says, check_known
+from tom.studies.study import (
+    Findings,
+    Row,
+    add_recordings,
+    as_the_paper_says,
+    check,
+    check_known,
+    compute,
+    recordings,
+)
 
+TITLE = "Weight progression"
+CLAIM = (
+    "On a buffer whose first half is random and whose second half is SAC's training in order, "
+    "TOM's weights for the trained policy are low on the random half and rise towards the end; "
+    "they start to rise earlier than recency would have it, sometimes non-monotonically (5.2)."
+)
 Condition = Literal["own", "random", "shuffled"]
 Preset = Literal["paper", "exact"]
 
 PRESETS: tuple[Preset, ...] = ("exact", "paper")
-BOUNDS: dict[str, tuple[float, float, float]] = {
-    "halfcheetah": (0.30, 4.0, 0.9),
-    "hopper": (0.60, 2.5, 0.5),
-}
-"""bounds: random half at most, last two of 20 bins and Spearman over the ordered half at least"""
-TURNED = (1.25, 0.3)
-"""bounds for the random policy: random half at least, last two of 20 bins at most"""
 SAME = 0.9
 """rank correlation over 20 bins from which two profiles count as the same"""
 NEVER = DECILES + 1
 LOW, LAST, RANK = "random half", "last two of 20 bins", "Spearman, ordered half"
 RISE = f"first decile above 1 ({NEVER}: none)"
+BOUNDS: dict[str, dict[str, tuple[str, float]]] = {
+    "halfcheetah": {LOW: ("<=", 0.30), LAST: (">=", 4.0), RANK: (">=", 0.9)},
+    "hopper": {LOW: ("<=", 0.60), LAST: (">=", 2.5), RANK: (">=", 0.5)},
+}
+TURNED = {LOW: (">=", 1.25), LAST: ("<=", 0.3)}
+"""bounds for the random policy"""
+NUMBERS = {LOW: "random_mean", LAST: "last_two", RANK: "spearman", RISE: "first_rise", "ESS": "ess"}
+"""the numbers of an acceptance, and their names in a `progression`"""
+CLAIMS: dict[str, tuple[str, Callable[[float], bool]]] = {
+    LOW: ("lie below the mean over the random half", lambda value: value < 1),
+    RANK: ("grow along SAC's half (rank correlation)", lambda value: value > 0),
+    RISE: (
+        "are above the mean before its last fifth (first such tenth)",
+        lambda value: value <= DECILES - LATE,
+    ),
+}
+"""what the paper says of TOM's weights, by the number that shows it"""
 BINS = 100
 TITLES = {
     ("own", "tom"): "TOM, its trained policy",
@@ -65,42 +88,35 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument("--preset", nargs="+", default=list(PRESETS), help="TOM's [exact paper]")
 
 
-def find(args: Namespace, lab: Lab) -> Findings:
+def find(args: Namespace) -> Findings:
     check_known("preset", args.preset, PRESETS)
-    runs = recordings(args, lab, args.sac_seeds)
-    done = lab.compute(
-        result,
-        cases(runs, args.preset, args.seeds),
-        lambda one: f"{one.recording}: TOM {one.preset}, {one.condition}",
+    runs = recordings(args, args.sac_seeds)
+    asked = [
+        Case(run.path, condition, preset, tuple(args.seeds), run.created)
+        for run in runs
+        for preset in args.preset
+        for condition in get_args(Condition)
+    ]
+    done = compute(
+        args, result, asked, lambda one: f"{one.recording}: TOM {one.preset}, {one.condition}"
     )
     for case in done:
         name = f"{case.recording}-{case.condition}-{case.preset}.parquet"
         write_weights(args.out / name, case.weighed)
-    found, judged = checks(done), args.preset[0]
-    rows = [
-        {
-            "name": "{recording}, {condition} policy, {learner}, {quantity}".format(**c),
-            "preset": c["preset"],
-            "median": c["median"],
-            "by seed": " ".join(f"{value:.3g}" for value in c["values"]),
-            "bound": "{} {:g}".format(*c["bound"]) if c["bound"] else "",
-            "met": c["met"] if c["preset"] == judged else None,
-        }
-        for c in found
-    ]
+    judged, found = args.preset[0], checks(done)
     caption = "Mean weight along the ordered buffer, single seeds faint"
-    drawn = [case for case in done if case.preset == judged]
     return Findings(
         said=verdict([row for row in found if row["preset"] == judged]),
         files={"profiles": _profiles(done)},
-        figures={"progression": (caption, partial(figure, drawn))},
-        tables=[],
-        checks=rows,
+        titles={},
+        figures={
+            "progression": (caption, figure([case for case in done if case.preset == judged]))
+        },
+        checks=[row if row["preset"] == judged else {**row, "met": None} for row in found],
         origin={
             "n": f"{len(runs)} recordings, {len(args.seeds)} seeds of TOM on each",
             "seeds": in_short(args.seeds),
         },
-        json={"checks": found},
     )
 
 
@@ -130,41 +146,23 @@ class Result:
         """One learner's results, by seed."""
         return [one for one in self.weighed if one.learner == learner]
 
-    def reports(self, learner: str) -> list[Progression]:
-        """One learner's summaries, by seed."""
-        return [progression(one.weights, self.ordered_from) for one in self.of(learner)]
-
-
-def cases(runs: Sequence[RunReader], presets: Sequence[Preset], seeds: Sequence[int]) -> list[Case]:
-    """The three conditions of every recording, under every preset of TOM."""
-    return [
-        Case(run.path, condition, preset, tuple(seeds), run.created)
-        for run in runs
-        for preset in presets
-        for condition in get_args(Condition)
-    ]
-
 
 def result(case: Case) -> Result:
     """Weigh the recording of `case`; not by PMAC for the random policy, as it uses no policy."""
     run = RunReader(case.recording)
     known, data = task(run.env), of_run(run)
-    policy = read_policy(run.path / NAME)
+    policy, learners = read_policy(run.path / NAME), ("tom", "pmac")
     config = RunConfig(env=run.env, learner="tom", tom=TomConfig.preset(case.preset))
-    both = ("tom", "pmac")
-    if case.condition == "own":
-        weighed = weigh(data, policy, known, config, both, case.seeds)
-    elif case.condition == "random":
-        policy = UniformPolicy(known.obs_dim, known.action_dim)
-        weighed = weigh(data, policy, known, config, ("tom",), case.seeds)
-    else:
+    order = np.arange(len(data))
+    if case.condition == "random":
+        policy, learners = UniformPolicy(known.obs_dim, known.action_dim), ("tom",)
+    elif case.condition == "shuffled":
         order = np.random.default_rng(0).permutation(len(data))
-        shuffled = replace(data, transitions=data.transitions[torch.from_numpy(order)])
-        weighed = (
-            in_order(one, order) for one in weigh(shuffled, policy, known, config, both, case.seeds)
-        )
-    name, first = f"{run.env}-s{run.seed}", data.ordered_from
-    return Result(name, run.env, first, case.condition, case.preset, tuple(weighed))
+    rows = replace(data, transitions=data.transitions[torch.from_numpy(order)])
+    found = weigh(rows, policy, known, config, learners, case.seeds)
+    weighed = tuple(in_order(one, order) for one in found)
+    name = f"{run.env}-s{run.seed}"
+    return Result(name, run.env, data.ordered_from, case.condition, case.preset, weighed)
 
 
 def in_order(one: Weighed, order: NDArray[np.int64]) -> Weighed:
@@ -177,79 +175,61 @@ def in_order(one: Weighed, order: NDArray[np.int64]) -> Weighed:
 
 def checks(done: Sequence[Result]) -> list[Row]:
     """Every number of the acceptance, for TOM and for PMAC."""
-    found: list[Row] = []
+    rows = []
     for case in done:
-        tom, pmac = case.reports("tom"), case.reports("pmac")
-        if case.condition == "own":
-            low, last, rank = BOUNDS.get(case.env, (None, None, None))
-            found += [
-                finding(case, "tom", LOW, [r.random_mean for r in tom], "<=", low),
-                finding(case, "tom", LAST, [r.last_two for r in tom], ">=", last),
-                finding(case, "tom", RANK, [r.spearman for r in tom], ">=", rank),
-                finding(case, "tom", RISE, [r.first_rise or NEVER for r in tom]),
-                finding(case, "tom", "ESS", [r.ess for r in tom]),
-                finding(case, "pmac", LOW, [r.random_mean for r in pmac]),
-                finding(case, "pmac", LAST, [r.last_two for r in pmac]),
-                finding(case, "pmac", RISE, [r.first_rise or NEVER for r in pmac]),
-                finding(case, "pmac", "ESS", [r.ess for r in pmac]),
-            ]
-        elif case.condition == "random":
-            found += [
-                finding(case, "tom", LOW, [r.random_mean for r in tom], ">=", TURNED[0]),
-                finding(case, "tom", LAST, [r.last_two for r in tom], "<=", TURNED[1]),
-            ]
-        else:
+        if case.condition == "shuffled":
             like = (case.recording, case.preset, "own")
             (own,) = (o for o in done if (o.recording, o.preset, o.condition) == like)
             for learner, sign in (("tom", ">="), ("pmac", "<")):
                 pairs = zip(own.of(learner), case.of(learner), strict=True)
                 kept = [same_profile(a.weights, b.weights) for a, b in pairs]
-                quantity = "Spearman with its profile in order"
-                found.append(finding(case, learner, quantity, kept, sign, SAME))
-    return found
+                name = "Spearman with its profile in order"
+                rows.append(finding(case, learner, name, kept, (sign, SAME)))
+            continue
+        bounds = BOUNDS.get(case.env, {}) if case.condition == "own" else TURNED
+        for learner in dict.fromkeys(one.learner for one in case.weighed):
+            shapes = [progression(one.weights, case.ordered_from) for one in case.of(learner)]
+            for name, key in NUMBERS.items():
+                never = NEVER if name == RISE else nan
+                values = [never if one[key] is None else float(one[key]) for one in shapes]
+                bound = bounds.get(name) if learner == "tom" else None
+                rows.append(finding(case, learner, name, values, bound))
+    return rows
 
 
 def finding(
     case: Result,
     learner: str,
     quantity: str,
-    values: Sequence[float | None],
-    sign: str = "",
-    limit: float | None = None,
+    values: Sequence[float],
+    bound: tuple[str, float] | None = None,
 ) -> Row:
     """One number of the acceptance for every seed; the median is judged, if there is a bound."""
-    numbers = [nan if value is None else float(value) for value in values]
-    middle, met = median(numbers), None
-    if limit is not None:
-        met = {"<=": middle <= limit, ">=": middle >= limit, "<": middle < limit}[sign]
+    name = f"{case.recording}, {case.condition} policy, {learner}, {quantity}"
+    judged = {"bound": "", "met": None} if bound is None else check(name, median(values), *bound)
     return {
-        "recording": case.recording,
+        "name": name,
         "preset": case.preset,
         "condition": case.condition,
         "learner": learner,
         "quantity": quantity,
-        "values": numbers,
-        "bound": None if limit is None else (sign, limit),
-        "median": middle,
-        "met": met,
+        "median": median(values),
+        "by seed": " ".join(f"{value:.3g}" for value in values),
+        "bound": judged["bound"],
+        "met": judged["met"],
     }
 
 
 def verdict(found: Sequence[Row]) -> list[str]:
     """Whether TOM's weights are low on random data, rise, and rise before the end."""
     said = []
-    for quantity, what, holds in (
-        (LOW, "lie below the mean over the random half", lambda value: value < 1),
-        (RANK, "grow along SAC's half (rank correlation)", lambda value: value > 0),
-        (
-            RISE,
-            "are above the mean before its last fifth (first such tenth)",
-            lambda value: value <= DECILES - LATE,
-        ),
-    ):
+    for quantity, (what, holds) in CLAIMS.items():
         wanted = ("own", "tom", quantity)
-        own = [c for c in found if (c["condition"], c["learner"], c["quantity"]) == wanted]
-        values = [c["median"] for c in own]
+        values = [
+            row["median"]
+            for row in found
+            if (row["condition"], row["learner"], row["quantity"]) == wanted
+        ]
         if values:
             held = sum(map(holds, values))
             said.append(
@@ -269,26 +249,10 @@ def _profiles(done: Sequence[Result]) -> Iterator[Row]:
 
 def figure(done: Sequence[Result]) -> Figure:
     """The profiles of one preset: a row for each recording, a panel for each of TITLES."""
-    panels = {
-        recording: [
-            Panel(title, learner, profiles(case.weighed, learner, BINS))
-            for (condition, learner), title in TITLES.items()
-            for case in done
-            if (case.recording, case.condition) == (recording, condition)
-        ]
-        for recording in dict.fromkeys(case.recording for case in done)
-    }
-    shares = {case.recording: case.ordered_from / len(case.weighed[0].weights) for case in done}
-    return profile_figure(panels, shares)
-
-
-STUDY = Study(
-    "progression",
-    "Weight progression",
-    __doc__,
-    "On a buffer whose first half is random and whose second half is SAC's training in order, "
-    "TOM's weights for the trained policy are low on the random half and rise towards the end; "
-    "they start to rise earlier than recency would have it, sometimes non-monotonically (5.2).",
-    add_options,
-    find,
-)
+    rows: dict[str, list[Panel]] = {}
+    for (condition, learner), title in TITLES.items():
+        for case in (case for case in done if case.condition == condition):
+            share = case.ordered_from / len(case.weighed[0].weights)
+            panel = Panel(title, learner, profiles(case.weighed, learner, BINS), share)
+            rows.setdefault(case.recording, []).append(panel)
+    return profile_figure(rows)

@@ -6,8 +6,7 @@ figure is listed. Nothing is trained: `tom sweep` makes the runs.
 """
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -17,7 +16,7 @@ from matplotlib.ticker import EngFormatter
 from tom.analysis.curves import aggregate
 from tom.analysis.scores import BEST, FINAL, HEIGHT
 from tom.analysis.settings import unlike
-from tom.analysis.statistics import RANKED, Interval, remark
+from tom.analysis.statistics import RANKED, remark
 from tom.envs import ENVS, task
 from tom.errors import UserError
 from tom.learners import LEARNERS
@@ -25,50 +24,30 @@ from tom.record import Store
 from tom.reports.figures import NEUTRAL, learner_colour, new_figure
 from tom.reports.report import origin_of_runs
 from tom.studies import returns_tables as tables
-from tom.studies.returns_cells import (
-    PAPER_ENVS,
-    Cell,
-    cell_of,
-    compared_at,
-    envs_of,
-    labels,
-    select,
-)
-from tom.studies.study import (
-    Findings,
-    Lab,
-    Row,
-    Study,
-    Table,
-    add_env,
-    add_store,
-    check_known,
-    tasks,
-)
+from tom.studies.returns_cells import PAPER_ENVS, Cell, all_cells, compared_at, select
+from tom.studies.study import Findings, Row, add_runs, check_known, tasks
 from tom.training.presets import PRESETS
 
-SCORES = "Returns up to the step of the comparison; mean, median and IQM are of the best"
-WINS = "How often a run of one learner beats one of another"
-FACTORS = (
-    "What weights in the model, and in the rollouts' starts, do for the return: each the mean over "
-    "both levels of the other; p of all is corrected for the tests of this table"
+TITLE = "Returns of every learner"
+CLAIM = (
+    "TOM performs best in aggregate in four of five environments, in sample efficiency and in "
+    "final return, with larger gains where dynamics are complex (Walker2d, HalfCheetah, Humanoid); "
+    "4 seeds, running maximum of the mean of 10 test episodes (section 5.2)."
 )
-EXAMS = "Exams: the median fit of each run, on new steps of its own policy; mean over runs"
-ROLLOUTS = (
-    "Rollouts: how often they fall over how often the policy does (median fit of each run), and "
-    "the share of fits with a row that has a tenth of the weight; mean over runs"
-)
-LESS = (
-    "How often a run of one learner has a smaller number in its exams and rollouts than one of "
-    "another (errors of runs on steps of their own policies)"
-)
-FEW = 3
-"""groups whose exams are compared on the screen even if nobody named them"""
+TITLES = {
+    "summary": "Returns up to the step of the comparison; mean, median and IQM are of the best",
+    "improvement": "How often a run of one learner beats one of another",
+    "factors": "What weights in the model, and in the rollouts' starts, do for the return: each "
+    "the mean over both levels of the other; p of all is corrected for the tests of this table",
+    "exams": "Exams: the median fit of each run, on new steps of its own policy; mean over runs",
+    "rollouts": "Rollouts: how often they fall over how often the policy does (median fit of each "
+    "run), and the share of fits with a row that has a tenth of the weight; mean over runs",
+    "less": "How often a run of one learner has a smaller number in its exams and rollouts than "
+    "one of another (errors of runs on steps of their own policies)",
+    "missing": "What is missing for the paper's figure",
+}
 BY = {"best": BEST, "last": FINAL, "area": HEIGHT}
 CAPTION = "Best return so far: mean over seeds, 95 % bootstrap band, single seeds faint."
-"""of a step, more than any run has"""
-NAMED = 3
-"""runs named at most in a sentence"""
 COLUMNS = 3
 FEW_POINTS = 10
 LONG = 26
@@ -78,13 +57,12 @@ LINES = ("-.", "--", ":", (0, (9, 2)), (0, (4, 1.5, 1, 1.5, 1, 1.5)))
 
 
 def add_options(parser: ArgumentParser) -> None:
-    add_env(parser, list(ENVS), "[all of ours]")
+    add_runs(parser, ENVS, "[all of ours]")
     parser.add_argument(
         "--preset", nargs="+", metavar="PRESET", default=["paper", "mended"],
         help="[paper mended]: runs of the first are called by their learner alone, those of others "
         "by both",
     )  # fmt: skip
-    add_store(parser)
     parser.add_argument(
         "--learner", nargs="+", default=list(LEARNERS), metavar="LEARNER",
         help="ours, or a plug-in's [all]",
@@ -110,41 +88,33 @@ def add_options(parser: ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def find(args: Namespace, lab: Lab) -> Findings:
+def find(args: Namespace) -> Findings:
     check_known("preset", args.preset, PRESETS)
     check_known("learner", args.learner, LEARNERS)
     envs, planned = tasks(args.env), args.groups is not None
     whole, cells, left_out = _chosen(args, envs)
     by = [BY[name] for name in args.by]
-    found: dict[str, list[Row]] = {
-        "summary": tables.summary(cells),
-        "improvement": tables.improvement(cells, by, planned=planned),
-        "factors": tables.factors(cells, by),
-        "exams": tables.exams(cells),
-        "rollouts": tables.rollouts(cells),
-        "less": tables.less(cells, planned=planned),
-        "missing": tables.missing(whole, envs, args.learner),
-    }
-    aside = (
-        "Left out, for other settings, a longer run of the seed, no evaluation, a first one after "
-        f"the others' end, or an end before --at: {', '.join(left_out)}."
-    )
-    many = len({cell.label for cell in cells}) > FEW and not planned
+    said = verdict(cells)
+    if left_out:
+        said.append(
+            "Left out, for other settings, a longer run of the seed, no evaluation, a first one "
+            f"after the others' end, or an end before --at: {', '.join(left_out)}."
+        )
     return Findings(
-        said=[*verdict(cells), *([aside] if left_out else [])],
-        files={"returns": _curves(cells), **found},
-        figures={"returns": (CAPTION, partial(return_figure, cells))},
-        tables=[
-            Table(SCORES, found["summary"], list(map(_brief_score, found["summary"]))),
-            Table(WINS, found["improvement"]),
-            Table(FACTORS, found["factors"]),
-            Table(EXAMS, found["exams"], list(map(_brief_fits, found["exams"]))),
-            Table(ROLLOUTS, found["rollouts"], list(map(_brief_fits, found["rollouts"]))),
-            Table(LESS, found["less"], [] if many else None),
-            Table("What is missing for the paper's figure", found["missing"], []),
-        ],
+        said=said,
+        files={
+            "returns": _curves(cells),
+            "summary": tables.summary(cells),
+            "improvement": tables.improvement(cells, by, planned=planned),
+            "factors": tables.factors(cells, by),
+            "exams": tables.exams(cells),
+            "rollouts": tables.rollouts(cells),
+            "less": tables.less(cells, planned=planned),
+            "missing": tables.missing(whole, envs, args.learner),
+        },
+        titles=TITLES,
+        figures={"returns": (CAPTION, return_figure(cells))},
         origin=origin_of_runs([run for cell in cells for run in cell.runs]),
-        json={**found, "left out": left_out},
     )
 
 
@@ -154,7 +124,7 @@ def _chosen(args: Namespace, envs: Sequence[str]) -> tuple[list[Cell], list[Cell
     Raises UserError if nothing is left to compare, or not all of a planned comparison: it is made
     whole or not at all, because p is corrected for what was planned.
     """
-    at = _steps(args.at, envs)
+    at, usual = _steps(args.at, envs), args.preset[0]
     runs = [
         run for run in Store(args.store).runs() if run.env in envs and run.learner in args.learner
     ]
@@ -162,58 +132,43 @@ def _chosen(args: Namespace, envs: Sequence[str]) -> tuple[list[Cell], list[Cell
     if not whole:
         raise UserError(
             f"{args.store}/ has no such run with an evaluation: tom sweep --env {' '.join(envs)} "
-            f"--learner {' '.join(args.learner)} --preset {args.preset[0]} "
+            f"--learner {' '.join(args.learner)} --preset {usual} "
             f"--seeds {' '.join(map(str, range(RANKED)))} makes them"
         )
     runs = [run for run in runs if args.seeds is None or run.seed in args.seeds]
-    groups = args.groups and [_called(group, args.preset[0]) for group in args.groups]
-    have = labels(runs, *args.preset, apart=args.apart)
+    # In the tables a group's name leaves the first preset out; Curves names every one.
+    groups = args.groups and [
+        ", ".join(word for word in group.split(", ") if word != usual) for group in args.groups
+    ]
+    have = sorted({cell.label for cell in all_cells(runs, args.preset, {}, args.apart)[0]})
     for group in groups or ():
         if group not in have:
             raise UserError(f"--groups: no such run is of '{group}', but of: {'; '.join(have)}")
-    if groups and len({*groups}) < 2:
-        raise UserError(
-            f"--groups: one alone is compared with nobody; name two of: {'; '.join(have)}"
-        )
     cells, left_out = select(runs, *args.preset, at=at, apart=args.apart, groups=groups)
-    if not cells:
-        asked = {"--at": args.at, "--seeds": args.seeds, "--groups": args.groups}
+    if not cells or {*(groups or ())}.difference(cell.label for cell in cells):
+        asked = {"--at": args.at, "--seeds": args.seeds, "--groups": groups}
         words = (f"{option} {' '.join(map(str, of))}" for option, of in asked.items() if of)
+        left = "; ".join(dict.fromkeys(cell.label for cell in cells)) or "nobody"
         raise UserError(
-            f"{' '.join(words)}: no such run was evaluated there or later; the longest of all ends "
-            f"at {max(cell.longest for cell in whole):.0f}"
+            f"{' '.join(words)}: {left} can be compared there; the longest run of all ends at "
+            f"{max(cell.longest for cell in whole):.0f}"
         )
-    for group in groups or ():
-        if not any(cell.label == group for cell in cells):
-            raise UserError(
-                f"--groups: no run of '{group}' can be compared with the others at one step; "
-                "choose another --at, or leave it out"
-            )
     return whole, cells, left_out
 
 
 def _steps(words: Sequence[str], envs: Sequence[str]) -> dict[str, int]:
     """The step of each environment that has one, from `STEP` (of all) or `ENV=STEP`."""
-    of_all: dict[str, int] = {}
-    of_one: dict[str, int] = {}
-    for word in words:
+    at: dict[str, int] = {}
+    for word in sorted(words, key=lambda word: "=" in word):
         env, named, digits = word.rpartition("=")
         if not (digits.isdecimal() and int(digits)):
             raise UserError(f"--at must be at least 1, or ENV=STEP, not '{word}'")
-        if not named and of_all:
+        if not named and at:
             raise UserError("--at takes one step of all, and one ENV=STEP for each other")
         if named and task(env).name not in envs:
             raise UserError(f"--at {word}: --env does not name {env}")
-        if named:
-            of_one[task(env).name] = int(digits)
-        else:
-            of_all = dict.fromkeys(envs, int(digits))
-    return of_all | of_one
-
-
-def _called(group: str, usual: str) -> str:
-    """A group's name in the tables, which leave the first preset out; Compare names every one."""
-    return ", ".join(word for word in group.split(", ") if word != usual)
+        at |= dict.fromkeys([task(env).name] if named else envs, int(digits))
+    return at
 
 
 def _curves(cells: Sequence[Cell]) -> Iterator[Row]:
@@ -225,47 +180,18 @@ def _curves(cells: Sequence[Cell]) -> Iterator[Row]:
                 yield {**of, "step": int(step), "return": value, "best": best}
 
 
-def _brief_score(row: Row) -> Row:
-    """What the screen has room for."""
-    return {
-        "env": row["env"],
-        "learner": row["learner"],
-        "n": row["n"],
-        "at step": row["at step"],
-        "best return": Interval(row["mean"], row["low"], row["high"]),
-        "IQM": row["IQM"],
-        "last": row["final"],
-        "area": Interval(row["area"], row["area low"], row["area high"]),
-        "remark": row["remark"],
-    }
-
-
-def _brief_fits(row: Row) -> Row:
-    names = [name.removesuffix(" low") for name in row if name.endswith(" low")]
-    brief: Row = {"env": row["env"], "learner": row["learner"], "n": row["n"]}
-    for name in names:
-        known = Interval(row[name], row[f"{name} low"], row[f"{name} high"])
-        brief[name] = known if known.value == known.value else None
-    return brief
-
-
 def verdict(cells: Sequence[Cell]) -> list[str]:
     """TOM's place among the groups with enough runs to be ranked, and the reservations."""
     at, of_paper = compared_at(cells), [c for c in cells if c.env in PAPER_ENVS]
-    judged: dict[str, list[Cell]] = {}
-    for env in envs_of(of_paper):
-        enough = [c for c in of_paper if c.env == env and c.n >= RANKED]
-        if cell_of(enough, env, "tom") and any(c.learner != "tom" for c in enough):
-            judged[env] = enough
-    said = _places(judged, at)
+    said = _places([c for c in of_paper if c.n >= RANKED], at)
     if few := [f"{c.env}: {c.label} (n = {c.n})" for c in of_paper if c.n < RANKED]:
         said.append(f"Not ranked, with fewer than {RANKED} runs: {'; '.join(few)}.")
     for env, step in at.items():
         here = [c for c in cells if c.env == env]
         if (longest := max(cell.longest for cell in here)) > step:
             said.append(
-                f"{env}: compared at step {step:.0f} of {longest:.0f}, the last evaluation of "
-                f"{_ended_at(here, step)}."
+                f"{env}: compared at step {step:.0f} of {longest:.0f}, the last that all runs "
+                "reach."
             )
         if paths := unlike([run for cell in here for run in cell.runs]):
             said.append(
@@ -275,26 +201,27 @@ def verdict(cells: Sequence[Cell]) -> list[str]:
     return said
 
 
-def _places(judged: Mapping[str, Sequence[Cell]], at: Mapping[str, float]) -> list[str]:
-    """Where TOM and its variants have the highest mean, each without the others as rivals."""
+def _places(ranked: Sequence[Cell], at: dict[str, float]) -> list[str]:
+    """Where TOM and its variants have the highest mean, each without the others as rivals.
+
+    Only environments count that have TOM, of the first preset, and another learner.
+    """
+    toms = {c.env for c in ranked if c.learner == "tom" and not c.variant}
+    judged = toms & {c.env for c in ranked if c.learner != "tom"}
+    every = [c for c in ranked if c.env in judged]
     if not judged:
         return [
             f"No environment of the paper has at least {RANKED} runs of TOM, of the first preset, "
             "and of another learner: nothing to compare with the claim."
         ]
-    every = [cell for group in judged.values() for cell in group]
+    best = {
+        env: max(c.scores(at[env]).mean() for c in every if c.env == env and c.learner != "tom")
+        for env in judged
+    }
     said = []
     for label in dict.fromkeys(c.label for c in every if c.learner == "tom"):
         own = [c for c in every if c.label == label]
-        first = [
-            c.env
-            for c in own
-            if all(
-                c.scores(at[c.env]).mean() > rival.scores(at[c.env]).mean()
-                for rival in judged[c.env]
-                if rival.learner != "tom"
-            )
-        ]
+        first = [c.env for c in own if c.scores(at[c.env]).mean() > best[c.env]]
         where = f" ({', '.join(first)})" if first else ""
         said.append(
             f"{label} has the highest mean in {len(first)} of {len(own)} of the paper's "
@@ -303,23 +230,13 @@ def _places(judged: Mapping[str, Sequence[Cell]], at: Mapping[str, float]) -> li
     if few := remark([c.n for c in every]):
         said.append(f"The smallest group: {few}.")
     short = [
-        f"{env} {at[env]:.0f} of {task(env).steps}" for env in judged if at[env] < task(env).steps
+        f"{env} {step:.0f} of {task(env).steps}"
+        for env, step in at.items()
+        if env in judged and step < task(env).steps
     ]
     if short:
         said.append(f"Compared before the end of the paper's training: {'; '.join(short)} steps.")
     return said
-
-
-def _ended_at(cells: Sequence[Cell], step: float) -> str:
-    """The runs whose last evaluation is at this step; few are named."""
-    ended = [
-        f"{run.run_id} ({run.status.shown})"
-        for cell in cells
-        for run, curve in zip(cell.runs, cell.curves, strict=True)
-        if curve.step[-1] == step
-    ]
-    more = f" and {len(ended) - NAMED} more" if len(ended) > NAMED else ""
-    return ", ".join(ended[:NAMED]) + more
 
 
 def return_figure(cells: Sequence[Cell]) -> Figure:
@@ -366,15 +283,3 @@ def _draw(ax: Axes, cell: Cell, line: Any) -> None:
     if cell.n > 1 and len(steps):
         low, high = group.low[whole], group.high[whole]
         ax.fill_between(steps, low, high, color=colour, alpha=0.15, linewidth=0)
-
-
-STUDY = Study(
-    "returns",
-    "Returns of every learner",
-    __doc__,
-    "TOM performs best in aggregate in four of five environments, in sample efficiency and in "
-    "final return, with larger gains where dynamics are complex (Walker2d, HalfCheetah, Humanoid); "
-    "4 seeds, running maximum of the mean of 10 test episodes (section 5.2).",
-    add_options,
-    find,
-)

@@ -11,9 +11,6 @@ page (`tom/analysis/scores.py`).
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
-from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -29,11 +26,10 @@ from tom.record import RunReader
 Array = NDArray[np.float64]
 PAPER_ENVS = tuple(name for name, env in ENVS.items() if env.of_paper)
 METRIC = "eval/return"
-FREE: Mapping[str, int] = MappingProxyType({})
-"""no environment has a step of comparison fixed beforehand"""
 
 
-class Recorded(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Recorded:
     """One run, with what was read from it once."""
 
     run: RunReader
@@ -47,12 +43,17 @@ class Cell:
 
     env: str
     learner: str
-    runs: tuple[RunReader, ...]
-    metrics: tuple[pd.DataFrame, ...]
-    """of each run, all of them, as `RunReader.metrics` has them"""
-    curves: tuple[Curve, ...]
-    variant: str = ""
+    variant: str
     """in what its runs differ from the learner's in the first requested preset, in words"""
+    recorded: tuple[Recorded, ...]
+
+    @property
+    def runs(self) -> list[RunReader]:
+        return [one.run for one in self.recorded]
+
+    @property
+    def curves(self) -> list[Curve]:
+        return [one.curve for one in self.recorded]
 
     @property
     def label(self) -> str:
@@ -61,7 +62,7 @@ class Cell:
 
     @property
     def n(self) -> int:
-        return len(self.curves)
+        return len(self.recorded)
 
     @property
     def longest(self) -> float:
@@ -80,7 +81,7 @@ class Cell:
 def select(
     runs: Sequence[RunReader],
     *presets: str,
-    at: Mapping[str, int] = FREE,
+    at: Mapping[str, int] | None = None,
     apart: bool = False,
     groups: Collection[str] | None = None,
 ) -> tuple[list[Cell], list[str]]:
@@ -92,28 +93,23 @@ def select(
     or later are left out. All runs of a learner are left out if one was first evaluated after the
     step of the comparison.
     """
-    cells, left_out = _cells(runs, presets, at, apart)
-    if groups is not None:
-        cells = [cell for cell in cells if cell.label in groups]
+    cells, left_out = all_cells(runs, presets, at or {}, apart)
+    cells = [cell for cell in cells if groups is None or cell.label in groups]
     common = compared_at(cells)
     late = [cell for cell in cells if not begun(cell.curves, common[cell.env])]
     left_out += [run.run_id for cell in late for run in cell.runs]
-    return sorted((cell for cell in cells if cell not in late), key=_place), left_out
+    return [cell for cell in cells if cell not in late], left_out
 
 
-def labels(runs: Sequence[RunReader], *presets: str, apart: bool = False) -> list[str]:
-    """What the learners are called that there are in `select`."""
-    return sorted({cell.label for cell in _cells(runs, presets, FREE, apart)[0]})
-
-
-def _cells(
+def all_cells(
     runs: Sequence[RunReader], presets: Sequence[str], at: Mapping[str, int], apart: bool
 ) -> tuple[list[Cell], list[str]]:
     """All cells with a return up to their step of `at`, and the ids of other runs."""
     mine = [
         run for run in runs if run.env != ROAD and run.learner in LEARNERS and run.preset in presets
     ]
-    kind_of, recorded = kinds_of(mine), []
+    kind_of, left_out = kinds_of(mine), []
+    found: dict[tuple[str, str, str], list[Recorded]] = {}
     for run in mine:
         metrics, kind = run.metrics(), kind_of[run.run_id]
         points = curve_points(metrics, METRIC)
@@ -121,23 +117,19 @@ def _cells(
         if run.env in at:  # without points if it does not reach that step
             step = at[run.env]
             curve = curve.until(step if len(curve.step) and curve.step[-1] >= step else -1)
-        recorded.append(Recorded(run, metrics, curve))
-
-    def method(one: Recorded) -> tuple[str, str, str]:
-        """The environment, the learner, and its variant in words."""
-        words = [one.run.preset] if one.run.preset != presets[0] else []
+        if not len(curve.step):
+            left_out.append(run.run_id)
+            continue
+        words = [run.preset] if run.preset != presets[0] else []
         if apart:
-            words += [f"{path} {value}" for path, value in sorted(changed(one.run).items())]
-        return one.run.env, one.run.learner, ", ".join(words)
-
-    usable = sorted((one for one in recorded if len(one.curve.step)), key=method)
-    cells, left_out = [], [one.run.run_id for one in recorded if not len(one.curve.step)]
-    for (env, learner, variant), group in groupby(usable, method):
-        every = list(group)
-        chosen = _largest(every)
-        cells.append(Cell(env, learner, *zip(*chosen, strict=True), variant=variant))
-        used = {one.run.run_id for one in chosen}
-        left_out += [one.run.run_id for one in every if one.run.run_id not in used]
+            words += [f"{path} {value}" for path, value in sorted(changed(run).items())]
+        key = run.env, run.learner, ", ".join(words)
+        found.setdefault(key, []).append(Recorded(run, metrics, curve))
+    cells = []
+    for key in sorted(found, key=lambda key: (*task_rank(key[0]), learner_rank(key[1]), key[2])):
+        chosen = _largest(found[key])
+        cells.append(Cell(*key, tuple(chosen)))
+        left_out += [one.run.run_id for one in found[key] if one not in chosen]
     return cells, left_out
 
 
@@ -150,26 +142,21 @@ def _largest(every: Sequence[Recorded]) -> list[Recorded]:
     return [chosen[seed] for seed in sorted(chosen)]
 
 
-def _place(cell: Cell) -> tuple[int, str, int, str]:
-    return *task_rank(cell.env), learner_rank(cell.learner), cell.variant
-
-
 def compared_at(cells: Sequence[Cell]) -> dict[str, float]:
     """For each environment the last step that all its runs reach."""
-    return {env: common_step(_curves(cells, env)) for env in envs_of(cells)}
+    return {env: common_step(curves) for env, curves in _by_env(cells).items()}
 
 
 def compared_from(cells: Sequence[Cell]) -> dict[str, float]:
     """For each environment the first step from which on all its runs have returns."""
-    return {env: common_start(_curves(cells, env)) for env in envs_of(cells)}
+    return {env: common_start(curves) for env, curves in _by_env(cells).items()}
 
 
-def _curves(cells: Sequence[Cell], env: str) -> list[Curve]:
-    return [curve for cell in cells if cell.env == env for curve in cell.curves]
-
-
-def envs_of(cells: Sequence[Cell]) -> list[str]:
-    return list(dict.fromkeys(cell.env for cell in cells))
+def _by_env(cells: Sequence[Cell]) -> dict[str, list[Curve]]:
+    found: dict[str, list[Curve]] = {}
+    for cell in cells:
+        found.setdefault(cell.env, []).extend(cell.curves)
+    return found
 
 
 def cell_of(cells: Sequence[Cell], env: str, learner: str, variant: str = "") -> Cell | None:

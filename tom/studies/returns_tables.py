@@ -1,7 +1,6 @@
 """The tables of the returns study: scores, exams, rollouts, who beats whom, effects of weights."""
 
 from collections.abc import Collection, Mapping, Sequence
-from itertools import combinations
 
 import numpy as np
 import pandas as pd
@@ -29,7 +28,6 @@ from tom.studies.returns_cells import (
     cell_of,
     compared_at,
     compared_from,
-    envs_of,
 )
 from tom.studies.study import Row
 
@@ -72,7 +70,6 @@ def summary(cells: Sequence[Cell]) -> list[Row]:
     for cell in cells:
         step = at[cell.env]
         scores = cell.scores(step)
-        mean, iqm = interval(scores), interval(scores, "iqm")
         area = interval(cell.scores(step, HEIGHT, since[cell.env]))
         rival = cell_of(cells, cell.env, RIVAL)
         target = float(rival.scores(step).mean()) if rival else np.nan
@@ -84,17 +81,11 @@ def summary(cells: Sequence[Cell]) -> list[Row]:
                 "n": cell.n,
                 "seeds": " ".join(map(str, cell.seeds)),
                 "at step": int(step),
-                "mean": mean.value,
-                "low": mean.low,
-                "high": mean.high,
+                **interval(scores).columns("mean"),
                 "median": interval(scores, "median").value,
-                "IQM": iqm.value,
-                "IQM low": iqm.low,
-                "IQM high": iqm.high,
+                **interval(scores, "iqm").columns("IQM", "IQM"),
                 "final": interval(cell.scores(step, FINAL)).value,
-                "area": area.value,
-                "area low": area.low,
-                "area high": area.high,
+                **area.columns("area", "area"),
                 "steps to MLE's": float(np.median(steps)) if rival else np.nan,
                 "reach": int(common_step(cell.curves)),
                 "paper's steps": task(cell.env).steps,
@@ -144,11 +135,19 @@ def _contests(
 ) -> list[Row]:
     """One row for each pair of learners and each of `numbers`, which are those of single runs.
 
-    "p" is by permutation of the runs, since intervals of so few are too narrow, and "p of all" is
-    corrected for the number of rows. If `wins` is "less", the smaller number wins.
+    The pairs are those with MLE or TOM among them, if not `planned`; who is asked about stands
+    first. "p" is by permutation of the runs, since intervals of so few are too narrow, and "p of
+    all" is corrected for the number of rows. If `wins` is "less", the smaller number wins.
     """
-    rows = []
-    for ours, theirs in _pairs(cells, planned):
+    ranks, rows = {RIVAL: 0, "tom": 2}, []
+    order = {
+        cell.label: cell.learner
+        for cell in sorted(cells, key=lambda c: (ranks.get(c.learner, 1), c.learner, c.variant))
+    }
+    pairs = [(ours, theirs) for i, ours in enumerate(order) for theirs in list(order)[:i]]
+    for ours, theirs in pairs:
+        if not (planned or ranks.keys() & {order[ours], order[theirs]}):
+            continue
         for name, of in numbers.items():
             both = {
                 one.env: (of[one], of[other])
@@ -159,17 +158,14 @@ def _contests(
             if not both:
                 continue
             first, second = ([pair[i] for pair in both.values()] for i in (0, 1))
-            won = probability_of_improvement(
-                *((second, first) if wins == "less" else (first, second))
-            )
+            sides = (second, first) if wins == "less" else (first, second)
+            won = probability_of_improvement(*sides)
             rows.append(
                 {
                     "learner": ours,
                     "against": theirs,
                     titled: name,
-                    wins: won.value,
-                    "low": won.low,
-                    "high": won.high,
+                    **won.columns(wins),
                     "p": exchangeable(first, second),
                     "tasks": " ".join(both),
                     "remark": remark([min(map(len, pair)) for pair in both.values()]),
@@ -177,20 +173,6 @@ def _contests(
             )
     ps = corrected([row["p"] for row in rows])
     return [row | {"p of all": p} for row, p in zip(rows, ps, strict=True)]
-
-
-def _pairs(cells: Sequence[Cell], planned: bool) -> list[tuple[str, str]]:
-    """The labels of each pair of learners, once, if not `planned` with MLE or TOM among them.
-
-    Who is asked about stands first.
-    """
-    ranks = {RIVAL: 0, "tom": 2}
-    methods = {(ranks.get(c.learner, 1), c.learner, c.variant): c.label for c in cells}
-    order = [methods[method] for method in sorted(methods)]
-    learner = {cell.label: cell.learner for cell in cells}
-    pairs = [(ours, theirs) for theirs, ours in combinations(order, 2)]
-    told = [pair for pair in pairs if planned or ranks.keys() & {learner[name] for name in pair}]
-    return sorted(told, key=lambda pair: order.index(pair[0]))
 
 
 def factors(cells: Sequence[Cell], measures: Collection[str] = MEASURES) -> list[Row]:
@@ -220,8 +202,7 @@ def _effect(scores: Sequence[Array], signs: Sequence[int]) -> Row:
     """An effect, and of a place how often a run with weights there beats one without."""
     of_place = sum(signs[1:3]) == 0
     effect = contrast(scores, [sign / 2 if of_place else sign for sign in signs])
-    row: Row = {"wins": np.nan, "p": np.nan}
-    row |= {"effect": effect.value, "low": effect.low, "high": effect.high}
+    row: Row = {"wins": np.nan, "p": np.nan, **effect.columns("effect")}
     if of_place:
         # In pairs that are alike in the other place.
         up, down = (
@@ -236,34 +217,30 @@ def _effect(scores: Sequence[Array], signs: Sequence[int]) -> Row:
 
 def _designs(cells: Sequence[Cell]) -> list[tuple[Cell, Cell, Cell, Cell]]:
     """The cells with weights in both places, in the model, in the starts, and in neither."""
-    found = []
+    found, settings = [], {cell: changed(cell.runs[0]) for cell in cells}
     for both in (cell for cell in cells if cell.learner != RIVAL):
-        settings = changed(both.runs[0])
-        if "1.0" in (settings.get(UNIFORM_MODEL), settings.get(UNIFORM_STARTS)):
+        if "1.0" in map(settings[both].get, (UNIFORM_MODEL, UNIFORM_STARTS)):
             continue
-        alike = [
-            cell
-            for cell in cells
-            if (cell.env, cell.learner) == (both.env, both.learner)
-            and cell.runs[0].preset == both.runs[0].preset
-        ]
+        here = [cell for cell in cells if cell.env == both.env]
         # Those that differ in uniform weights in one place alone.
         model, starts = (
-            next((c for c in alike if changed(c.runs[0]) == {**settings, place: "1.0"}), None)
+            [
+                cell
+                for cell in here
+                if (cell.learner, cell.runs[0].preset) == (both.learner, both.runs[0].preset)
+                and settings[cell] == {**settings[both], place: "1.0"}
+            ]
             for place in (UNIFORM_STARTS, UNIFORM_MODEL)
         )
-        # MLE in the same task, with the same settings but for the learner's own.
-        neither = next(
-            (
-                cell
-                for cell in cells
-                if (cell.env, cell.learner) == (both.env, RIVAL)
-                and not any(matters(p, RIVAL) for p in unlike([cell.runs[0], both.runs[0]]))
-            ),
-            None,
-        )
+        # MLE with the same settings but for the learner's own.
+        neither = [
+            cell
+            for cell in here
+            if cell.learner == RIVAL
+            and not any(matters(p, RIVAL) for p in unlike([cell.runs[0], both.runs[0]]))
+        ]
         if model and starts and neither:
-            found.append((both, model, starts, neither))
+            found.append((both, model[0], starts[0], neither[0]))
     return found
 
 
@@ -299,47 +276,43 @@ def _table(cells: Sequence[Cell], names: Sequence[str]) -> list[Row]:
         row: Row = {"env": cell.env, "learner": cell.label, "n": len(recorded)}
         for name in names:
             values = np.array([one[name] for one in recorded])
-            mean = interval(values[np.isfinite(values)])
-            row |= {name: mean.value, f"{name} low": mean.low, f"{name} high": mean.high}
+            row |= interval(values[np.isfinite(values)]).columns(name, name)
         rows.append(row | {"remark": remark(len(recorded))})
     return rows
 
 
 def _numbers(cells: Sequence[Cell]) -> dict[Cell, list[dict[str, float]]]:
-    """What the fits of each cell's runs come to, over the fits that count."""
+    """What the fits of each cell's runs come to, over the fits that count, as far as recorded."""
     at, found = compared_at(cells), {}
-    for env in envs_of(cells):
-        here = [cell for cell in cells if cell.env == env]
-        since = counted_from(metrics for cell in here for metrics in cell.metrics)
-        for cell in here:
-            fits = [table.loc[table["env_step"].between(since, at[env])] for table in cell.metrics]
-            found[cell] = [_exam_medians(of_run) | _rollouts(of_run) for of_run in fits]
+    since = {
+        env: counted_from(one.metrics for c in cells if c.env == env for one in c.recorded)
+        for env in at
+    }
+    for cell in cells:
+        counted = since[cell.env], at[cell.env]
+        found[cell] = [
+            _of_run(one.metrics.loc[one.metrics["env_step"].between(*counted)])
+            for one in cell.recorded
+        ]
     return found
 
 
-def _exam_medians(fits: pd.DataFrame) -> dict[str, float]:
-    """Each of EXAMS, the median over a run's fits, if they have exams.
-
-    A footprint counts if it is informative.
-    """
-    values = {name: np.asarray(fits.get(name, ()), np.float64) for name in EXAMS}
-    if not set(EXAMS) <= set(fits) or not any(np.isfinite(of).any() for of in values.values()):
-        return {}
-    tells = informative(fits[NOISE]) if NOISE in fits else np.zeros(len(fits), np.bool_)
-    values[FOOTPRINT] = values[FOOTPRINT][tells]
-    return {EXAMS[name]: _median(of_fits) for name, of_fits in values.items()}
-
-
-def _rollouts(fits: pd.DataFrame) -> dict[str, float]:
-    """Each of ROLLOUTS over a run's fits, if they were recorded."""
+def _of_run(fits: pd.DataFrame) -> dict[str, float]:
+    """EXAMS and ROLLOUTS of a run's fits, each a median, a footprint of those informative."""
+    found: dict[str, float] = {}
+    if set(EXAMS) <= set(fits) and np.isfinite(fits[list(EXAMS)].to_numpy(np.float64)).any():
+        noise = fits[NOISE] if NOISE in fits else np.full(len(fits), np.nan)
+        counts = {FOOTPRINT: informative(noise)}
+        every = np.ones(len(fits), np.bool_)
+        found = {name: _median(fits[of][counts.get(of, every)]) for of, name in EXAMS.items()}
     needed = [FALLS, POLICY_FALLS, LARGEST, SIZE]
-    if not set(needed) <= set(fits) or (here := fits.loc[:, needed].dropna()).empty:
-        return {}
-    falls = _median((here[FALLS] / here[POLICY_FALLS]).to_numpy())
-    return {"falls": falls, "heavy rows": float((here[LARGEST] >= HEAVY * here[SIZE]).mean())}
+    if set(needed) <= set(fits) and not (here := fits.loc[:, needed].dropna()).empty:
+        found["falls"] = _median(here[FALLS] / here[POLICY_FALLS])
+        found["heavy rows"] = float((here[LARGEST] >= HEAVY * here[SIZE]).mean())
+    return found
 
 
-def _median(of_fits: Array) -> float:
+def _median(of_fits: pd.Series) -> float:
     """The median of the finite numbers; NaN without any."""
     finite = of_fits[np.isfinite(of_fits)]
     return float(np.median(finite)) if len(finite) else np.nan

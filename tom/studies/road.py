@@ -6,14 +6,16 @@ says where the claim holds.
 """
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import takewhile
 from math import nan
 from statistics import median
+from typing import Any
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -23,27 +25,39 @@ from tom.events import Collected, Evaluation, Event, Metrics, Weights
 from tom.learners import follows_value
 from tom.reports.figures import NEUTRAL, learner_colour, new_figure
 from tom.reports.report import seeds as in_short
+from tom.road import task
 from tom.road.measure import returns
-from tom.road.offline_data import map_of
-from tom.studies.road_map import (
-    Places,
-    environment_figure,
-    environment_rows,
-    weight_figure,
-    weight_rows,
-)
 from tom.studies.study import (
     Findings,
-    Lab,
     Row,
-    Study,
-    Table,
     add_jobs,
     as_the_paper_says,
-    at_least,
-    at_most,
+    check,
+    compute,
 )
 
+TITLE = "Road-and-rocks"
+CLAIM = (
+    "On road-and-rocks TOM substantially outperforms offline MBPO, and does so because it gives "
+    "the controllable region, the road, the higher weights (section 5.1)."
+)
+Array = NDArray[Any]
+Kinds = Mapping[str, tuple[str, Mapping[str, Any]]]
+"""learner and settings of trainings, by their name in the tables"""
+MAIN: Kinds = {"mle": ("mle", {}), "tom": ("tom", {})}
+CONTROLS: Kinds = {
+    "labels swapped": ("labels-swapped", {}),
+    "mle, mean-zero rocks": ("mle", {"turn": 0.0, "spread": 180.0}),
+    "pmac, expert last": ("pmac", {}),
+    "pmac, expert first": ("pmac", {"expert_first": True}),
+}
+"""what must fail, or reverse, if the claim is to be meaningful"""
+SIMPLER = ("expert-only", "footprint-only", "ratio")
+"""weightings without a dual"""
+OTHERS: Kinds = {
+    **{name: (name, {}) for name in ("vagram", *SIMPLER)},
+    "tom, uniform starts": ("tom", {"rollout": {"weighted_starts": False}}),
+}
 TURNS = (0.0, 60.0, 90.0, 105.0, 120.0, 135.0, 150.0, 180.0)
 """mean turns of the sweep, degrees; the spread is half the turn"""
 RATIO_MEDIAN, RATIO_MIN, SHARE_MIN = 10.0, 5.0, 0.85
@@ -51,8 +65,6 @@ EXPERT_ERROR_MAX, ROAD_ERROR_MAX = 0.35, 0.6
 TOM_RETURN_MIN, TOM_SUCCESS_MIN, SEEDS_THAT_DRIVE = 0.8, 0.9, 0.75
 MLE_RETURN_MAX, MLE_SUCCESS_MAX = 0.25, 0.2
 SWAPPED_RATIO_MAX, MEAN_ZERO_RETURN_MIN = 3.0, -30.0
-SIMPLER = ("expert-only", "footprint-only", "ratio", "pmac, expert last")
-"""simple weightings, without a dual"""
 LEARNERS = {"mle": ("mle", "MLE"), "pmac, expert last": ("pmac", "PMAC"), "tom": ("tom", "TOM")}
 """learner and label of the cases that are drawn"""
 COLUMNS = {
@@ -67,7 +79,10 @@ COLUMNS = {
     "planner_success": "planner/success",
 }
 """of an outcome, by metric: errors in full steps, success as a share of episodes"""
-ENVIRONMENT = "The task: road (green), rocks, start and goal; arrows are what the action right does"
+CELLS = 25  # of a drawn map, along each side
+EDGES = np.linspace(0, 1, CELLS + 1)
+CENTRES = (EDGES[1:] + EDGES[:-1]) / 2
+LEAST, MOST = 0.02, 50.0  # weights beyond these have the same colour
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -78,43 +93,41 @@ def add_options(parser: ArgumentParser) -> None:
     add_jobs(parser)
 
 
-def find(args: Namespace, lab: Lab) -> Findings:
-    seeds = args.seeds
-    main = [*acceptance_cases(seeds), *control_cases(seeds), *baseline_cases(seeds)]
-    told = lab.compute(tell, [*main, *sweep_cases(args.sweep_seeds)], _name)
+def find(args: Namespace) -> Findings:
+    main = [case for kinds in (MAIN, CONTROLS, OTHERS) for case in cases(kinds, args.seeds)]
+    swept = [  # only the planner, which tests the model
+        replace(case, config=case.config.but(turn=turn, spread=turn / 2), optimise=False)
+        for turn in TURNS
+        for case in cases(MAIN, args.sweep_seeds)
+    ]
+    told = compute(
+        args,
+        tell,
+        [*main, *swept],
+        lambda story: "{name} seed {seed} turn {turn:g}".format(**story.outcome),
+    )
     stories, sweep = told[: len(main)], [story.outcome for story in told[len(main) :]]
     outcomes = [story.outcome for story in stories]
-    checks = [*acceptance(outcomes), *controls(outcomes)]
-    ground = map_of(RoadConfig(learner="tom", seed=min(seeds)))
-    weighed, kinds = _first_seeds(stories), len({case.name for case in main})
-    figures: dict[str, tuple[str, Callable[[], Figure]]] = {
-        "environment": (ENVIRONMENT, partial(environment_figure, ground)),
-        "returns": (
-            "Return in the real task, single seeds faint",
-            partial(return_figure, stories),
-        ),
-        "sweep": (
-            "The planner's return as the rocks turn more",
-            partial(sweep_figure, sweep),
-        ),
-    }
-    if weighed:
-        figures["weights"] = ("Mean weight over the map", partial(weight_figure, weighed))
+    first = {story.outcome["name"]: story for story in reversed(stories)}
+    weighed = {label: first[name] for name, (_, label) in LEARNERS.items()}
     return Findings(
         said=verdict(outcomes, sweep),
         files={
             "outcomes": outcomes,
             "sweep": sweep,
             "returns": _returns(stories),
-            "environment": environment_rows(ground),
             "weights": weight_rows(weighed),
         },
-        figures=figures,
-        tables=[Table("By seed", outcomes)],
-        checks=checks,
+        titles={"outcomes": "By seed"},
+        figures={
+            "returns": ("Return in the real task, single seeds faint", return_figure(stories)),
+            "sweep": ("The planner's return as the rocks turn more", sweep_figure(sweep)),
+            "weights": ("Mean weight over the map", weight_figure(weighed)),
+        },
+        checks=[*acceptance(outcomes), *controls(outcomes)],
         origin={
-            "n": f"{len(main)} trainings of {kinds} learners and controls",
-            "seeds": in_short(seeds),
+            "n": f"{len(main)} trainings of {len(first)} learners and controls",
+            "seeds": in_short(args.seeds),
         },
     )
 
@@ -129,50 +142,13 @@ class Case:
     """if false, SAC is left out: only the weights, the model and its planner"""
 
 
-def acceptance_cases(seeds: Sequence[int]) -> list[Case]:
-    """MLE and TOM."""
-    return [_case(name, name, seed) for seed in seeds for name in ("mle", "tom")]
-
-
-def control_cases(seeds: Sequence[int]) -> list[Case]:
-    """Controls that must fail, or reverse, if the claim is to be meaningful."""
+def cases(kinds: Kinds, seeds: Sequence[int]) -> list[Case]:
+    """Each kind of training with each seed."""
     return [
-        case
+        Case(name, RoadConfig(learner=learner, seed=seed).but(**changes), name != "labels swapped")
         for seed in seeds
-        for case in (
-            replace(_case("labels swapped", "labels-swapped", seed), optimise=False),
-            _case("mle, mean-zero rocks", "mle", seed, turn=0.0, spread=180.0),
-            _case("pmac, expert last", "pmac", seed),
-            _case("pmac, expert first", "pmac", seed, expert_first=True),
-        )
+        for name, (learner, changes) in kinds.items()
     ]
-
-
-def baseline_cases(seeds: Sequence[int]) -> list[Case]:
-    """VaGram, simpler weightings, and TOM with uniform start states of rollouts."""
-    names = ("vagram", "expert-only", "footprint-only", "ratio")
-    return [
-        case
-        for seed in seeds
-        for case in (
-            *(_case(name, name, seed) for name in names),
-            _case("tom, uniform starts", "tom", seed, rollout={"weighted_starts": False}),
-        )
-    ]
-
-
-def sweep_cases(seeds: Sequence[int]) -> list[Case]:
-    """MLE and TOM for growing mean turns of the rocks (only the planner, which tests the model)."""
-    return [
-        replace(_case(name, name, seed, turn=turn, spread=turn / 2), optimise=False)
-        for turn in TURNS
-        for seed in seeds
-        for name in ("mle", "tom")
-    ]
-
-
-def _case(name: str, learner: str, seed: int, **changes: object) -> Case:
-    return Case(name, RoadConfig(learner=learner, seed=seed).but(**changes))
 
 
 @dataclass(frozen=True)
@@ -181,8 +157,8 @@ class Story:
 
     outcome: Row
     returns: list[tuple[int, float]]  # (step of policy optimisation, mean return)
-    places: NDArray[np.float32] | None = None  # (N, 2) of the transitions
-    weights: NDArray[np.float32] | None = None  # (N,)
+    places: NDArray[np.float32]  # (N, 2) of the transitions
+    weights: NDArray[np.float32]  # (N,)
 
 
 def tell(case: Case) -> Story:
@@ -196,7 +172,7 @@ def tell(case: Case) -> Story:
         events = takewhile(lambda event: event.env_step == 0, events)
     values: dict[str, float] = {}
     curve: list[tuple[int, float]] = []
-    sac, places, weights = (nan, nan), None, None
+    sac, places, weights = (nan, nan), np.zeros((0, 2), np.float32), np.zeros(0, np.float32)
     for event in events:
         match event:
             case Metrics():
@@ -214,10 +190,6 @@ def tell(case: Case) -> Story:
         outcome |= {"planner_return": nan, "planner_success": nan}
     sac = sac if case.optimise else (nan, nan)
     return Story(outcome | {"sac_return": sac[0], "sac_success": sac[1]}, curve, places, weights)
-
-
-def _name(story: Story) -> str:
-    return "{name} seed {seed} turn {turn:g}".format(**story.outcome)
 
 
 def _named(outcomes: Sequence[Row], name: str) -> list[Row]:
@@ -242,12 +214,12 @@ def acceptance(outcomes: Sequence[Row]) -> list[Row]:
         return [t[error] / m[error] for t, m in zip(tom, mle, strict=True)]
 
     checks = [
-        at_least("weight ratio road / rocks, median", median(ratio), RATIO_MEDIAN),
-        at_least("weight ratio road / rocks, minimum", min(ratio), RATIO_MIN),
-        at_least("share of weight on the road", min(share), SHARE_MIN),
-        at_most("error on expert data over MLE's", max(over("error_expert")), EXPERT_ERROR_MAX),
-        at_most("error on the road over MLE's", max(over("error_road")), ROAD_ERROR_MAX),
-        at_least("error on rocks over MLE's", min(over("error_rocks")), 1.0),
+        check("weight ratio road / rocks, median", median(ratio), ">=", RATIO_MEDIAN),
+        check("weight ratio road / rocks, minimum", min(ratio), ">=", RATIO_MIN),
+        check("share of weight on the road", min(share), ">=", SHARE_MIN),
+        check("error on expert data over MLE's", max(over("error_expert")), "<=", EXPERT_ERROR_MAX),
+        check("error on the road over MLE's", max(over("error_road")), "<=", ROAD_ERROR_MAX),
+        check("error on rocks over MLE's", min(over("error_rocks")), ">=", 1.0),
     ]
     for kind in ("sac", "planner"):
         reward, success = f"{kind}_return", f"{kind}_success"
@@ -261,8 +233,8 @@ def acceptance(outcomes: Sequence[Row]) -> list[Row]:
         ]
         driving, standing = float(np.mean(drives)), float(np.mean(stuck))
         checks += [
-            at_least(f"share of seeds where TOM drives ({kind})", driving, SEEDS_THAT_DRIVE),
-            at_least(f"share of seeds where MLE does not ({kind})", standing, 1.0),
+            check(f"share of seeds where TOM drives ({kind})", driving, ">=", SEEDS_THAT_DRIVE),
+            check(f"share of seeds where MLE does not ({kind})", standing, ">=", 1.0),
         ]
     return checks
 
@@ -280,12 +252,12 @@ def controls(outcomes: Sequence[Row]) -> list[Row]:
     )
     pmac = "PMAC, expert data stored {}: success (planner)"
     return [
-        at_most("labels swapped: weight ratio, median", median(ratio), SWAPPED_RATIO_MAX),
-        at_most("labels swapped: weight ratio, maximum", max(ratio), SWAPPED_RATIO_MAX),
-        at_least("mean-zero rocks: MLE's return (planner)", planner, MEAN_ZERO_RETURN_MIN),
-        at_least("mean-zero rocks: MLE's return (sac)", sac, MEAN_ZERO_RETURN_MIN),
-        at_least(pmac.format("last"), last, TOM_SUCCESS_MIN),
-        at_most(pmac.format("first"), first, MLE_SUCCESS_MAX),
+        check("labels swapped: weight ratio, median", median(ratio), "<=", SWAPPED_RATIO_MAX),
+        check("labels swapped: weight ratio, maximum", max(ratio), "<=", SWAPPED_RATIO_MAX),
+        check("mean-zero rocks: MLE's return (planner)", planner, ">=", MEAN_ZERO_RETURN_MIN),
+        check("mean-zero rocks: MLE's return (sac)", sac, ">=", MEAN_ZERO_RETURN_MIN),
+        check(pmac.format("last"), last, ">=", TOM_SUCCESS_MIN),
+        check(pmac.format("first"), first, "<=", MLE_SUCCESS_MAX),
     ]
 
 
@@ -304,7 +276,7 @@ def verdict(outcomes: Sequence[Row], sweep: Sequence[Row]) -> list[str]:
         )
     simpler = [
         name
-        for name in SIMPLER
+        for name in (*SIMPLER, "pmac, expert last")
         if (of := _named(outcomes, name)) and _median(of, "sac_success") >= TOM_SUCCESS_MIN
     ]
     if simpler:
@@ -325,23 +297,11 @@ def verdict(outcomes: Sequence[Row], sweep: Sequence[Row]) -> list[str]:
     return said
 
 
-def _first_seeds(stories: Sequence[Story]) -> list[Places]:
-    """The weights of the first seed of each learner that is drawn."""
-    first: dict[str, Story] = {}
-    for story in stories:
-        first.setdefault(story.outcome["name"], story)
-    return [
-        Places(label, story.outcome["seed"], story.places, story.weights)
-        for name, (_, label) in LEARNERS.items()
-        if (story := first.get(name)) and story.places is not None and story.weights is not None
-    ]
-
-
 def _returns(stories: Sequence[Story]) -> Iterator[Row]:
     for story in stories:
-        case = {"name": story.outcome["name"], "seed": story.outcome["seed"]}
+        of = {"name": story.outcome["name"], "seed": story.outcome["seed"]}
         for step, value in story.returns:
-            yield {**case, "step": step, "return": value}
+            yield {**of, "step": step, "return": value}
 
 
 def return_figure(stories: Sequence[Story]) -> Figure:
@@ -350,10 +310,9 @@ def return_figure(stories: Sequence[Story]) -> Figure:
     ax = figure.subplots()
     for name, (learner, label) in LEARNERS.items():
         curves = np.array([s.returns for s in stories if s.outcome["name"] == name])  # (S, T, 2)
-        if len(curves):
-            steps, values, colour = curves[0, :, 0], curves[:, :, 1], learner_colour(learner)
-            ax.plot(steps, values.T, color=colour, alpha=0.3, linewidth=0.7)
-            ax.plot(steps, values.mean(0), color=colour, label=f"{label} (n = {len(curves)})")
+        steps, values, colour = curves[0, :, 0], curves[:, :, 1], learner_colour(learner)
+        ax.plot(steps, values.T, color=colour, alpha=0.3, linewidth=0.7)
+        ax.plot(steps, values.mean(0), color=colour, label=f"{label} (n = {len(curves)})")
     expert = [s.outcome["return_expert"] for s in stories]
     ax.axhline(float(np.mean(expert)), color=NEUTRAL, linestyle="--", linewidth=0.8)
     ax.set_xlabel("steps of policy optimisation in the model")
@@ -366,25 +325,53 @@ def sweep_figure(outcomes: Sequence[Row]) -> Figure:
     """The planner's return in each learner's model as the rocks turn more."""
     figure = new_figure(5.2, 3.2)
     ax = figure.subplots()
-    for name in ("mle", "tom"):
+    for name in MAIN:
         own, colour = _named(outcomes, name), learner_colour(name)
         turn, reward = (np.array([o[key] for o in own]) for key in ("turn", "planner_return"))
         ax.plot(turn, reward, "o", color=colour, alpha=0.35, markersize=3)
-        turns = np.unique(turn)
-        means = [reward[turn == at].mean() for at in turns]
-        ax.plot(turns, means, color=colour, label=name.upper())
+        means = [reward[turn == at].mean() for at in TURNS]
+        ax.plot(TURNS, means, color=colour, label=name.upper())
     ax.set_xlabel("mean turn of the steering on rocks, degrees")
     ax.set_ylabel("return of the planner")
     ax.legend()
     return figure
 
 
-STUDY = Study(
-    "road",
-    "Road-and-rocks",
-    __doc__,
-    "On road-and-rocks TOM substantially outperforms offline MBPO, and does so because it gives "
-    "the controllable region, the road, the higher weights (section 5.1).",
-    add_options,
-    find,
-)
+def weight_figure(drawn: Mapping[str, Story]) -> Figure:
+    """Mean weight in each cell of the map, a panel for each learner."""
+    figure = new_figure(3.1 * len(drawn) + 0.6, 3.3)
+    axes = figure.subplots(1, len(drawn), squeeze=False)[0]
+    norm = LogNorm(LEAST, MOST)
+    for ax, (label, story) in zip(axes, drawn.items(), strict=True):
+        shown = np.clip(_cells(story)[0].T, LEAST, MOST)
+        ax.pcolormesh(EDGES, EDGES, shown, cmap="inferno", norm=norm)
+        ax.plot(*np.array(task.CENTRE_LINE).T, color="white", linewidth=1, linestyle=":")
+        ax.set_title(f"{label}, seed {story.outcome['seed']}")
+        ax.set(aspect="equal", xticks=[], yticks=[])
+    bar = ScalarMappable(norm, "inferno")
+    figure.colorbar(bar, ax=list(axes), label="mean weight", shrink=0.8)
+    return figure
+
+
+def weight_rows(drawn: Mapping[str, Story]) -> Iterator[Row]:
+    """The drawn data: one row per learner and cell with transitions."""
+    for label, story in drawn.items():
+        mean, count = _cells(story)
+        for i, j in zip(*np.nonzero(count), strict=True):
+            yield {
+                "learner": label,
+                "seed": story.outcome["seed"],
+                "x": CENTRES[i],
+                "y": CENTRES[j],
+                "transitions": int(count[i, j]),
+                "mean weight": mean[i, j],
+            }
+
+
+def _cells(story: Story) -> tuple[Array, Array]:
+    """Mean weight (NaN for empty cells) and number of transitions; (x, y), (CELLS, CELLS) each."""
+    x, y = story.places.T
+    total = np.histogram2d(x, y, [EDGES, EDGES], weights=story.weights)[0]
+    count = np.histogram2d(x, y, [EDGES, EDGES])[0]
+    mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+    return mean, count

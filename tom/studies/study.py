@@ -1,6 +1,9 @@
-"""What a study is: a claim of the paper, what is computed for it, and what was found.
+"""What studies share: their options, cases and findings.
 
-`tom reproduce` (tom/cli/reproduce.py) does the rest: progress, files, report, JSON, exit code.
+A study is a module: its docstring says what is computed, `TITLE` and `CLAIM` (what the paper says)
+head its report, `add_options(parser)` adds its options, and `find(args)` computes its `Findings`,
+or raises UserError for bad input before anything is written. `tom reproduce`
+(tom/cli/reproduce.py) does the rest: files, report, JSON, exit code.
 
 A study's cases run each in its own process, and their outcomes are stored, so a study can resume.
 An outcome is stored under a key of the case, the code and the package versions, so that an outcome
@@ -28,7 +31,7 @@ import torch
 from numpy.dtypes import Float32DType, Float64DType, Int64DType
 
 from tom import plugins
-from tom.config import SacRecordingConfig
+from tom.config import SacRecordingConfig, in_words
 from tom.data.unpack import DAMAGE
 from tom.envs import bring, brought, task
 from tom.envs.termination import bring_rule, brought_rules
@@ -50,39 +53,6 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Lab:
-    """Where a study computes, with a line of progress for each finished case."""
-
-    out: Path
-    jobs: int
-    record: Callable[[Store, SacRecordingConfig], RunReader]
-    """makes a recording of SAC, or goes on with one that was stopped"""
-
-    def compute(
-        self,
-        work: Callable[[Case], Outcome],
-        cases: Sequence[Case],
-        told: Callable[[Outcome], str],
-    ) -> list[Outcome]:
-        """`work` of every case (`tom.studies.study`); `told` names a finished one to the user."""
-        make_folder(self.out)
-        done: list[Outcome] = []
-        for one in each(work, cases, self.jobs, self.out):
-            done.append(one)
-            say(f"{len(done)} of {len(cases)}: {told(one)}")
-        return done
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table of the report and of the screen, which may have `brief` rows of its own."""
-
-    title: str
-    rows: Sequence[Mapping[str, Any]]
-    brief: Sequence[Mapping[str, Any]] | None = None
-
-
-@dataclass(frozen=True)
 class Findings:
     """What a study found."""
 
@@ -90,41 +60,19 @@ class Findings:
     """in sentences: whether the paper's claim holds"""
     files: Mapping[str, Iterable[Mapping[str, Any]]]
     """the rows of each CSV file, by its name"""
-    figures: Mapping[str, tuple[str, Callable[[], "Figure"]]]
-    """caption and drawing of each picture, by the file's name"""
-    tables: Sequence[Table]
+    titles: Mapping[str, str]
+    """of those files that are tables of the report, the screen and the JSON as well"""
+    figures: Mapping[str, tuple[str, "Figure"]]
+    """caption and picture, by the file's name"""
     checks: Sequence[Mapping[str, Any]] = ()
     """our acceptance: rows with `name` and `met`, which is None where nothing is judged"""
     origin: Mapping[str, str] = field(default_factory=dict)
-    json: Mapping[str, Any] = field(default_factory=dict)
-    """what `--json` prints beside the sentences"""
 
 
-@dataclass(frozen=True)
-class Study:
-    """A study: one command of `tom reproduce`."""
-
-    name: str
-    title: str
-    doc: str | None
-    """what is computed, the question in the first line: the docstring of its module"""
-    claim: str
-    """what the paper says"""
-    options: Callable[[ArgumentParser], None]
-    find: Callable[[Namespace, Lab], Findings]
-    """computes; raises UserError for bad input before anything is written"""
-
-
-def at_least(name: str, value: float, bound: float) -> Row:
-    """A number of the acceptance, met if it is at least `bound`; never for NaN."""
-    met = bool(value >= bound)
-    return {"name": name, "value": float(value), "bound": f">= {bound:g}", "met": met}
-
-
-def at_most(name: str, value: float, bound: float) -> Row:
-    """A number of the acceptance, met if it is at most `bound`; never for NaN."""
-    met = bool(value <= bound)
-    return {"name": name, "value": float(value), "bound": f"<= {bound:g}", "met": met}
+def check(name: str, value: float, sign: str, bound: float) -> Row:
+    """A number of the acceptance; NaN meets no bound."""
+    met = {">=": value >= bound, "<=": value <= bound, "<": value < bound}[sign]
+    return {"name": name, "value": float(value), "bound": f"{sign} {bound:g}", "met": bool(met)}
 
 
 def whole(least: int) -> Callable[[str], int]:
@@ -138,13 +86,9 @@ def whole(least: int) -> Callable[[str], int]:
     return kind
 
 
-def add_env(parser: ArgumentParser, names: Sequence[str], help: str | None = None) -> None:
-    """Add `--env`, the tasks of a study."""
-    parser.add_argument("--env", nargs="+", default=list(names), metavar="ENV", help=help)
-
-
-def add_store(parser: ArgumentParser) -> None:
-    """Add `--store`, where a study finds its runs."""
+def add_runs(parser: ArgumentParser, envs: Iterable[str], help: str | None = None) -> None:
+    """Add `--env`, the tasks of a study, and `--store`, where it finds their runs."""
+    parser.add_argument("--env", nargs="+", default=list(envs), metavar="ENV", help=help)
     parser.add_argument("--store", type="folder", default=Path("runs"), help="run store (runs/)")
 
 
@@ -186,6 +130,45 @@ def say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
+# Recordings of SAC that studies take, or make where the store has none.
+
+SAC_SEEDS = {"halfcheetah": (0,), "hopper": (0, 1)}
+"""the recordings of the acceptance; other tasks have one"""
+
+
+def add_recordings(parser: ArgumentParser) -> None:
+    """Add the options that choose recordings of SAC and the learners' seeds."""
+    add_runs(parser, SAC_SEEDS)
+    parser.add_argument("--steps", type=whole(1000), default=50_000, help="steps of SAC [50000]")
+    parser.add_argument("--seeds", nargs="+", type="seed", default=[0, 1, 2], help="TOM's [0 1 2]")
+    add_jobs(parser)
+
+
+def recordings(args: Namespace, seeds: list[int] | None = None) -> list[RunReader]:
+    """The recordings of every task and of SAC's `seeds`; `args.record` makes missing ones."""
+    store = Store(args.store)
+    configs = [
+        SacRecordingConfig(env=env, seed=seed, steps=args.steps)
+        for env in tasks(args.env)
+        for seed in seeds or SAC_SEEDS.get(env, (0,))
+    ]
+    return [recorded(store, config) or args.record(store, config) for config in configs]
+
+
+def recorded(store: Store, config: SacRecordingConfig) -> RunReader | None:
+    """The newest finished recording with these settings, as far as it has them, or None."""
+    counted = ("env", "seed", "steps", "exploration_steps", "updates_per_step", "sac")
+    ours = in_words(config.model_dump(mode="json")).items()
+    ours = [(path, words) for path, words in ours if path.partition(".")[0] in counted]
+    finished = (
+        run
+        for run in store.runs()
+        if run.learner == config.learner and run.status.state == "finished"
+    )
+    same = (run for run in finished if all(run.settings.get(path, w) == w for path, w in ours))
+    return next(same, None)
+
+
 # The cases of a study.
 
 FOLDER = "cases"
@@ -201,6 +184,21 @@ ARRAYS: tuple[Any, ...] = (
     Int64DType,
     _codecs.encode,
 )
+
+
+def compute(
+    args: Namespace,
+    work: Callable[[Case], Outcome],
+    cases: Sequence[Case],
+    told: Callable[[Outcome], str],
+) -> list[Outcome]:
+    """`work` of every case (`each`); `told` names a finished one to the user."""
+    make_folder(args.out)
+    done: list[Outcome] = []
+    for one in each(work, cases, args.jobs, args.out):
+        done.append(one)
+        say(f"{len(done)} of {len(cases)}: {told(one)}")
+    return done
 
 
 def each(

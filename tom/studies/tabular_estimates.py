@@ -37,6 +37,8 @@ from tom.training.presets import PRESETS
 
 Inputs = Literal["transitions", "state-actions"]
 """of the discriminator (`TomConfig.discriminator_input`)"""
+Index = NDArray[np.intp]
+"""s, a and s' of each row, (N, 3)"""
 
 
 @dataclass(frozen=True)
@@ -83,17 +85,9 @@ def dense_cases(seeds: Iterable[int]) -> list[Case]:
     The two policies are similar or very different.
     """
     return [
-        Case(
-            seed,
-            states,
-            0.99,
-            divergence,
-            states=states,
-            concentration=concentration,
-            uniform=uniform,
-        )
+        Case(seed, n, 0.99, divergence, states=n, concentration=concentration, uniform=uniform)
         for seed in seeds
-        for states in (10, 20)
+        for n in (10, 20)
         for concentration in (0.2, 5.0)
         for uniform in ((0.1, 0.3), (0.0, 0.05))
         for divergence in ("chi2", "kl")
@@ -192,32 +186,41 @@ class Estimate:
 def estimate(asked: tuple[Case, Variant]) -> Estimate:
     """Draw the case's buffers, estimate their weights and compare them with the exact ones."""
     case, variant = asked
-    drawn = _drawn(case)
+    rng = np.random.default_rng(case.seed)
+    mdp, target, behaviour = draw(case, rng)
+
+    def sample(policy: Array, n: int) -> tuple[Transitions, Index]:
+        if case.ends:
+            return sample_stream(mdp, policy, n, rng)
+        return sample_transitions(mdp, transition_occupancy(mdp, policy), n, rng)
+
+    buffer, index = sample(behaviour, case.replay)
+    policy_rows, recent = sample(target, case.policy_buffer)
+    starts = sample_starts(mdp, case.starts, rng)
+    problem = problem_of(case, mdp, target, behaviour)
     if variant.counts:
-        weights, ratio, mean = _counted(drawn, case, variant.counts)
+        weights, ratio, mean = _counted(problem, index, recent, mdp, case, variant.counts)
     else:
-        policy = OneHotPolicy(torch.from_numpy(drawn.target).float())
+        policy = OneHotPolicy(torch.from_numpy(target).float())
         found = occupancy_weights(
-            drawn.buffer,
-            drawn.policy_rows,
+            buffer,
+            policy_rows,
             # A bound method has no `support`, so that the policy can only be sampled.
             policy if variant.support else policy.__call__,
-            torch.from_numpy(drawn.starts),
+            torch.from_numpy(starts),
             variant.config(case),
             torch.Generator().manual_seed(case.seed),
         )
         weights, ratio = (np.asarray(x, np.float64) for x in (found.weights, found.log_ratio))
         mean = found.metrics["weights/raw_mean"]
-    problem = drawn.problem
-    lookup = np.full(drawn.mdp.transition.shape, -1, np.intp)
-    lookup[problem.index] = np.arange(len(problem.replay))
-    rows = lookup[tuple(drawn.index.T)]  # of each buffer row among the R transitions, (N,)
-    ends = drawn.mdp.terminal[drawn.index[:, 2]]
     exact = solve(problem, case.divergence).weights
     flow_mass = float(problem.replay @ exact)  # below 1 if the flow loses mass at ends
     exact = exact / flow_mass
-    count = np.bincount(rows, minlength=len(exact))
+    lookup = np.full(mdp.transition.shape, -1, np.intp)
+    lookup[problem.index] = np.arange(len(problem.replay))
+    rows = lookup[tuple(index.T)]  # of each buffer row among the R transitions, (N,)
     mass = np.bincount(rows, weights, minlength=len(exact)) / len(rows)  # of the weighted replay
+    ends = mdp.terminal[index[:, 2]]
     score = {
         "spearman": _correlation(rankdata(weights), rankdata(exact[rows])),
         "l1": float(np.abs(weights - exact[rows]).sum() / exact[rows].sum()),
@@ -227,58 +230,29 @@ def estimate(asked: tuple[Case, Variant]) -> Estimate:
         "ends_ratio": share_on(ends, weights) / share_on(ends, exact[rows]) if ends.any() else None,
     }
     with np.errstate(invalid="ignore"):
-        estimated = mass * len(rows) / count
+        estimated = mass * len(rows) / np.bincount(rows, minlength=len(exact))
     row = {**asdict(case), "variant": variant.label, **score}
     return Estimate(row, problem.replay, exact, estimated)
 
 
-def _counted(drawn: "Drawn", case: Case, inputs: Inputs) -> tuple[Array, Array, float]:
+def _counted(
+    problem: OccupancyProblem, index: Index, recent: Index, mdp: Mdp, case: Case, inputs: Inputs
+) -> tuple[Array, Array, float]:
     """Weights and log ratio of each row of the buffer, from counts, and their mean before."""
-    problem, rows = drawn.problem, tuple(drawn.index.T)
-    q, p = (np.zeros(drawn.mdp.transition.shape) for _ in range(2))
+    rows = tuple(index.T)
+    q, p = (np.zeros(mdp.transition.shape) for _ in range(2))
     np.add.at(q, rows, 1)
-    np.add.at(p, tuple(drawn.recent.T), 1)
+    np.add.at(p, tuple(recent.T), 1)
     if inputs == "state-actions":
         q, p = (np.broadcast_to(x.sum(2, keepdims=True), x.shape) for x in (q, p))
     # Add half a transition to the policy's counts and the corresponding number to the replay's, so
     # that r is finite, and zero for transitions in neither buffer.
-    share = len(drawn.recent) / len(drawn.index)
-    ratio = np.log((p + 0.5) / (q * share + 0.5))
+    ratio = np.log((p + 0.5) / (q * (len(recent) / len(index)) + 0.5))
     weights = np.zeros(q.shape)
     noisy = replace(problem, log_ratio=ratio[problem.index])
     weights[problem.index] = solve(noisy, case.divergence).weights
     mean = float(weights[rows].mean())
     return weights[rows] / mean, ratio[rows], mean
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A case's problem and the buffers drawn for it."""
-
-    mdp: Mdp
-    target: Array  # the policy (S, A)
-    problem: OccupancyProblem
-    buffer: Transitions  # the replay, (N,)
-    index: NDArray[np.intp]  # (N, 3)
-    policy_rows: Transitions  # the policy's
-    recent: NDArray[np.intp]  # (P, 3)
-    starts: NDArray[np.float32]
-
-
-def _drawn(case: Case) -> Drawn:
-    rng = np.random.default_rng(case.seed)
-    mdp, target, behaviour = draw(case, rng)
-
-    def sample(policy: Array, n: int) -> tuple[Transitions, NDArray[np.intp]]:
-        if case.ends:
-            return sample_stream(mdp, policy, n, rng)
-        return sample_transitions(mdp, transition_occupancy(mdp, policy), n, rng)
-
-    buffer, index = sample(behaviour, case.replay)
-    policy_rows, recent = sample(target, case.policy_buffer)
-    starts = sample_starts(mdp, case.starts, rng)
-    problem = problem_of(case, mdp, target, behaviour)
-    return Drawn(mdp, target, problem, buffer, index, policy_rows, recent, starts)
 
 
 def draw(case: Case, rng: np.random.Generator) -> tuple[Mdp, Array, Array]:

@@ -44,16 +44,6 @@ class History:
         of_each = [transition_occupancy(self.mdp, each, "stationary") for each in self.policies]
         return np.stack(of_each) / len(of_each)
 
-    @property
-    def occupancy(self) -> Array:
-        """The policy's own stream, (S, A, S)."""
-        return transition_occupancy(self.mdp, self.target, "stationary")
-
-    @property
-    def divergence(self) -> Array:
-        """KL(pi(.|s) || pi_k(.|s)) of each policy that is no exploration, (K - 1, S)."""
-        return rel_entr(self.target, self.policies[1:]).sum(2)
-
 
 def history(mdp: Mdp, target: Array, behaviour: Array) -> History:
     """The history of a case: uniform exploration, then `POLICIES` from behaviour to target."""
@@ -65,40 +55,34 @@ def history(mdp: Mdp, target: Array, behaviour: Array) -> History:
 
 def weights_of(past: History) -> dict[str, Array]:
     """The weights of every way at each row, (K, S, A, S) by broadcasting, of any mean."""
-    explored = np.zeros((1, past.mdp.states))
-    divergence, shape = torch.from_numpy(past.divergence), (-1, past.mdp.states, 1, 1)
+    mdp, explored, mass = past.mdp, np.zeros((1, past.mdp.states)), past.mass
+    # KL(pi(.|s) || pi_k(.|s)) of each policy that is no exploration, (K - 1, S).
+    divergence = torch.from_numpy(rel_entr(past.target, past.policies[1:]).sum(2))
     near = distance_weights(divergence, PolicyDistanceConfig().floor).numpy()
     log_ratio = torch.from_numpy(np.log(past.target) - np.log(past.policies))[..., None]
-    model = past.mdp.transition[..., None, :]  # the mean of one-hot s', at each s'
-    error = np.sqrt(np.square(np.eye(past.mdp.states) - model).mean(-1))
+    error = np.sqrt(np.square(np.eye(mdp.states) - mdp.transition[..., None, :]).mean(-1))
+    pmer = PmerConfig()
+    by_error = error**pmer.sharpness
+    bound, states = total_variation(divergence).numpy(), mass.sum((2, 3))  # (K, S)
+
+    def of_policies(states: Array) -> Array:
+        """PDML's weights (K, 1, 1, 1), each policy's distance a mean over `states` (K - 1, S)."""
+        distance = np.average(bound, axis=1, weights=states)[::-1].copy()  # the newest first
+        each, exploration = policy_weights(
+            torch.from_numpy(distance), torch.ones(len(distance)), PdmlConfig()
+        )
+        return np.append(float(exploration), each.numpy()[::-1]).reshape(-1, 1, 1, 1)
+
     each = torch.arange(len(past.policies))
-    states = past.mass.sum((2, 3))  # (K, S)
     return {
         "uniform": np.ones((1, 1, 1, 1)),
         "recency": recency_probabilities(each, DECAY).numpy().reshape(-1, 1, 1, 1),
-        "pdml": _of_policies(past, states[1:]),
-        OVER_BUFFER: _of_policies(past, np.broadcast_to(states.sum(0), states[1:].shape)),
-        "policy-distance": np.concatenate((explored, near)).reshape(shape),
+        "pdml": of_policies(states[1:]),
+        OVER_BUFFER: of_policies(np.broadcast_to(states.sum(0), states[1:].shape)),
+        "policy-distance": np.concatenate((explored, near)).reshape(-1, mdp.states, 1, 1),
         "action-ratio": ratio_weights(log_ratio, ActionRatioConfig().clip).numpy(),
-        "pmer": _by_error(past, error),
+        "pmer": (1 - pmer.share + pmer.share * by_error / (mass.sum(0) * by_error).sum())[None],
     }
-
-
-def _of_policies(past: History, states: Array) -> Array:
-    """PDML's weights (K, 1, 1, 1), each policy's distance a mean over `states` (K - 1, S)."""
-    bound = total_variation(torch.from_numpy(past.divergence)).numpy()
-    distance = np.average(bound, axis=1, weights=states)[::-1].copy()  # the newest first
-    each, exploration = policy_weights(
-        torch.from_numpy(distance), torch.ones(len(distance)), PdmlConfig()
-    )
-    return np.append(float(exploration), each.numpy()[::-1]).reshape(-1, 1, 1, 1)
-
-
-def _by_error(past: History, error: Array) -> Array:
-    """PMER's weights (1, S, A, S) by errors (S, A, S), whose mean is over the replay."""
-    config, mass = PmerConfig(), past.mass.sum(0)
-    by_error = error**config.sharpness
-    return (1 - config.share + config.share * by_error / (mass * by_error).sum())[None]
 
 
 def measures(past: History, weights: Array) -> Row:
@@ -107,7 +91,7 @@ def measures(past: History, weights: Array) -> Row:
     `distance`: total variation of (s, a, s'); `ends`: the weight on transitions that end an episode
     over the policy's share; `ess`: the effective sample as a share of the rows.
     """
-    mass, p = past.mass, past.occupancy
+    mass, p = past.mass, transition_occupancy(past.mdp, past.target, "stationary")
     weighted = mass * weights
     mean, square = weighted.sum(), (weighted * weights).sum()
     replay, terminal = weighted.sum(0) / mean, past.mdp.terminal

@@ -20,7 +20,7 @@ from app.router import VIEWS
 from tom.errors import UserError
 from tom.record import Store, layout, manage
 from tom.record.reader import RunReader
-from tom.reports.report import Report, write_report
+from tom.reports.report import write_report
 from tom.reports.weighing_files import REPORT
 
 pytestmark = pytest.mark.usefixtures("studio")
@@ -215,7 +215,7 @@ def filled(own: Path) -> Path:
     report = {"data": PENDULUM_TOM, "policy": PENDULUM_TOM, "rows": 0, "results": []}
     (weighed / REPORT).write_text(json.dumps(report))
     study.mkdir(parents=True)
-    write_report(Report("shipped", "a claim", ["found"]), study)
+    write_report(study, "shipped", "a claim", ["found"])
     assert shortlinks.save(own, "curves", "task=hopper") == CODE
     return own
 

@@ -20,7 +20,7 @@ from app.links import Links
 from app.parts import jobs
 from app.servers.pages import routes
 from tom.record import layout
-from tom.reports.report import Report, write_csv, write_report
+from tom.reports.report import write_csv, write_report
 
 pytestmark = pytest.mark.usefixtures("studio")
 GALLERY = Path(__file__).parents[3] / "runs" / "studies"
@@ -39,7 +39,7 @@ def reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         write_csv(folder / "few.csv", ROWS[:1])
         write_csv(folder / "summary.csv", ROWS)
     road = tmp_path / "reports" / "road"
-    write_report(Report("Road", "a claim", ["found"], [("figure", road / "errors.png")]), road)
+    write_report(road, "Road", "a claim", ["found"], [("figure", road / "errors.png")])
     return tmp_path / "reports"
 
 
@@ -111,8 +111,8 @@ def test_all_ways_are_drawn_once_both_studies_are_there(
 
 def test_a_study_says_the_claim_the_verdict_and_the_command(reports: Path) -> None:
     origin = {"command": "tom reproduce road --jobs 1", "n": "8 seeds"}
-    report = Report("Road", "the *claim*", ["It holds.", "But <b>"], origin=origin)
-    write_report(report, reports / "road")
+    found = ["It holds.", "But <b>"]
+    write_report(reports / "road", "Road", "the *claim*", found, origin=origin)
     app = draw("findings", study="road")
     words = "\n".join(element.value for element in app.markdown)
     assert r"the \*claim\*" in words
@@ -131,7 +131,7 @@ def test_studies_that_came_with_the_store_are_shown_and_ones_own_before_them(
     shipped = shutil.copytree(store, tmp_path / "store") / "studies"
     for name in ("road", "tabular"):
         (shipped / name).mkdir(parents=True)
-        write_report(Report(name, "shipped", ["found"]), shipped / name)
+        write_report(shipped / name, name, "shipped", ["found"])
     show(shipped.parent)
     found = {study.name: study for study in studies.listing(*studies.folders(shipped.parent))}
     assert list(found) == ["road", "focus", "tabular"]

@@ -79,7 +79,7 @@ def test_all_learners_lie_over_one_buffer_with_the_reports_numbers(weighed: Path
     expected = [
         progression(weights[f"tom-s{s}"].to_numpy(), report["ordered_from"]) for s in (0, 1)
     ]
-    assert shown.loc["TOM", "ESS"] == pytest.approx(np.median([p.ess for p in expected]))
+    assert shown.loc["TOM", "ESS"] == pytest.approx(np.median([one["ess"] for one in expected]))
     assert shown.loc["MLE", "random"] == pytest.approx(1)
     of_tom = [result for result in report["results"] if result["learner"] == "tom"]
     value, error = (

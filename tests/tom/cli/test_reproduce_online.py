@@ -17,7 +17,7 @@ def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFi
     capsys.readouterr()
     assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert {row["learner"] for row in found["rows"]} == {"PMAC"}
+    assert {row["learner"] for row in found["online"]} == {"PMAC"}
     assert {path.name for path in out.iterdir()} == {
         *("online.png", "online.svg", "online.csv", "profiles.csv", "report.html", "report.json"),
     }

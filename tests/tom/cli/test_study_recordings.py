@@ -4,6 +4,7 @@ import signal
 from argparse import Namespace
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -12,16 +13,15 @@ from tom.cli.reproduce import record, run
 from tom.config import SacRecordingConfig
 from tom.events import Event, Tick
 from tom.record import RunReader, Store
-from tom.studies.recordings import recordings
-from tom.studies.study import Findings, Lab, Study
+from tom.studies.study import Findings, recordings
 
 STEPS = 150
 
 
 def recorded(folder: Path) -> list[RunReader]:
     args = Namespace(out=folder / "out", store=folder / "store", env=["inverted-pendulum"])
-    args.steps = STEPS
-    return recordings(args, Lab(args.out, 1, partial(record, args)), [0])
+    args.steps, args.record = STEPS, partial(record, args)
+    return recordings(args, [0])
 
 
 def test_a_recording_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -48,13 +48,14 @@ def test_a_recording_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytes
 def test_a_recording_whose_loss_is_not_finite_ends_the_study_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    def steep(args: Namespace, lab: Lab) -> Findings:
+    def steep(args: Namespace) -> Findings:
         settings = SacRecordingConfig(env="inverted-pendulum", steps=STEPS, exploration_steps=40)
         settings = settings.but(sac={"hidden": 16, "batch_size": 32, "lr": 1e20})
-        lab.record(Store(tmp_path), settings)
+        args.record(Store(tmp_path), settings)
         raise AssertionError
 
-    study = Study("steep", "Steep", None, "", lambda _: None, steep)
+    study = ModuleType("steep")
+    vars(study).update(TITLE="Steep", CLAIM="", find=steep)
     assert run(study, Namespace(out=tmp_path / "out")) == 1
     said = capsys.readouterr().err.strip().splitlines()
     assert said[-1].startswith("failed: step ")

@@ -4,7 +4,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 from tom.reports.figures import new_figure, save
-from tom.reports.report import Report, seeds, write_report
+from tom.reports.report import NAME, seeds, write_report
 
 
 class Links(HTMLParser):
@@ -25,7 +25,8 @@ def test_a_report_is_one_file_that_fetches_nothing(tmp_path: Path):
     figure.subplots().plot([0, 1])
     png, _ = save(figure, tmp_path, "figure")
     nasty = "<script>alert(1)</script> & \"'"
-    report = Report(
+    write_report(
+        tmp_path,
         nasty,
         nasty,
         [nasty],
@@ -33,8 +34,7 @@ def test_a_report_is_one_file_that_fetches_nothing(tmp_path: Path):
         [(nasty, [{"a": nasty, "b": 1.23456, "c": None, "d": float("nan")}]), ("none", [])],
         {"commit": nasty},
     )
-    path = write_report(report, tmp_path)
-    text = path.read_text()
+    text = (tmp_path / NAME).read_text()
     links = Links()
     links.feed(text)
     assert "script" not in links.tags

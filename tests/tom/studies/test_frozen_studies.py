@@ -147,7 +147,7 @@ def test_a_footprints_summary_by_hand():
     assert ratio["below uniform"] == 0.5
     assert ratio["n"] == 4
     assert ratio["ends over policy's"] == pytest.approx(0.10 / 0.04)
-    assert "ratio 1.45" in footprint.verdict(found)[-1]
+    assert any("ratio 1.45" in line for line in footprint.verdict(found))
 
 
 def drowned() -> list[Row]:
@@ -271,9 +271,8 @@ def test_a_moment_without_a_footprint_does_not_move_the_others():
     points, (_, bar) = panel.collections[0].get_offsets(), panel.lines
     assert sorted(np.asarray(points)[:, 0]) == [0.3, 0.9]
     assert bar.get_xdata() == pytest.approx([0.6, 0.6])
-    assert "below it" not in panel.figure.get_supxlabel()
-    near = [dict(BASE, way="recency", footprint=0.01)]
-    assert "drawn at 0.03 if below it" in footprint_figure(near).get_supxlabel()
+    (near,) = footprint_figure([dict(BASE, way="recency", footprint=0.01)]).axes
+    assert np.asarray(near.collections[0].get_offsets())[:, 0] == [0.03]
 
 
 def test_a_sign_test_counts_recordings_by_hand():
@@ -332,8 +331,10 @@ def test_the_commands_write_their_reports(
         assert told["verdict"]
         assert {path.name for path in out.glob("*.*")} == {
             "report.html", "report.json", "summary.csv", "moments.csv", "head-to-head.csv",
-            f"{name}.png", f"{name}.svg",
+            *(picture.name for picture in out.glob(f"{name}*.png")),
+            *(picture.name for picture in out.glob(f"{name}*.svg")),
         }  # fmt: skip
+        assert (out / f"{name}.png").exists()
         assert len(pd.read_csv(out / "moments.csv")) == 2 * 2
         again = out / "again"
         words = ["reproduce", name, "--from", str(out / "moments.csv"), "--out", str(again)]
@@ -357,8 +358,8 @@ def test_the_commands_write_their_reports(
         (["nothing"], "no run 'nothing'"),
         (["--from", "nowhere.csv"], "cannot read nowhere.csv"),
         (["--from", __file__], "is no moments.csv of this study"),
-        (["--from", "nowhere.csv", "frozen"], "leave out frozen"),
-        (["--from", "nowhere.csv", "--ways", "ratio"], "leave out --ways"),
+        (["--from", "nowhere.csv", "frozen"], "leave out: runs"),
+        (["--from", "nowhere.csv", "--ways", "ratio"], "leave out: ways"),
     ],
 )
 def test_bad_input_is_one_line(

@@ -16,7 +16,7 @@ from tom.policy.stored import StoredPolicy, policy_arrays, resumed_sac
 from tom.record import RunReader, Store, layout
 from tom.studies import improvement as study
 from tom.studies.frozen import WAYS, Case, Way, moments
-from tom.studies.improvement import Trial, improved, summary, verdict
+from tom.studies.improvement import improved, summary, verdict
 from tom.studies.study import Row
 from tom.training.presets import resolve
 from tom.training.run import train
@@ -63,9 +63,9 @@ def test_a_file_without_critics_or_with_other_layers_is_refused(run: RunReader):
         resumed_sac(arrays, config.model_copy(update={"hidden": 8}), 1.0, generator)
 
 
-def trial(run: RunReader, way: str, updates: int = 20, step: int | None = None) -> Trial:
-    case = Case(run.path, step or moments(run, 1)[0], way, models=("linear",))
-    return Trial(case, updates, episodes=2)
+def trial(run: RunReader, way: str) -> Case:
+    at = moments(run, 1)[0]
+    return Case(run.path, at, way, models=("linear",), updates=20, episodes=2)
 
 
 def test_weights_act_in_the_model_in_the_starts_or_in_both(run: RunReader):

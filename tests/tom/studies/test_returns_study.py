@@ -19,24 +19,6 @@ from tom.studies.returns import return_figure, verdict
 from tom.training.presets import resolve
 
 
-def record(
-    store: Store,
-    env: str,
-    learner: str,
-    seed: int,
-    returns: Sequence[float],
-    preset: str = "paper",
-    **changes: Any,
-) -> None:
-    """A run with these returns at steps 1 000, 2 000 and so on."""
-    config = resolve(env, learner, preset, {"seed": seed, **changes})
-    run_id = store.new_run_id(env, learner, seed)
-    with Recorder(RunWriter.create(store, run_id, config)) as recorder:
-        for i, value in enumerate(returns, start=1):
-            recorder.consume(Metrics(1000 * i, {"eval/return": value}))
-            recorder.consume(Tick(1000 * i, "evaluate"))
-
-
 def measured(
     store: Store,
     run_id: str,
@@ -44,13 +26,30 @@ def measured(
     seed: int,
     *steps: tuple[int, dict[Any, float]],
     env: str = "hopper",
+    preset: str = "paper",
+    **changes: Any,
 ) -> None:
     """A run with these metrics at these steps."""
-    config = resolve(env, learner, "paper", {"seed": seed})
+    config = resolve(env, learner, preset, {"seed": seed, **changes})
     with Recorder(RunWriter.create(store, run_id, config)) as recorder:
         for step, values in steps:
             recorder.consume(Metrics(step, values))
             recorder.consume(Tick(step, "evaluate"))
+
+
+def record(
+    store: Store,
+    env: str,
+    learner: str,
+    seed: int,
+    returns: Sequence[float],
+    preset: str = "paper",
+    **of: Any,
+) -> None:
+    """A run with these returns at steps 1 000, 2 000 and so on."""
+    steps = [(1000 * i, {"eval/return": value}) for i, value in enumerate(returns, start=1)]
+    run_id = store.new_run_id(env, learner, seed)
+    measured(store, run_id, learner, seed, *steps, env=env, preset=preset, **of)
 
 
 @pytest.fixture

@@ -1,19 +1,25 @@
 from dataclasses import replace
 from math import isnan
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from tom.studies.road import (
+    CONTROLS,
+    MAIN,
     MLE_RETURN_MAX,
+    OTHERS,
     Case,
+    Story,
     acceptance,
-    acceptance_cases,
-    baseline_cases,
-    control_cases,
+    cases,
     controls,
     normalised,
     tell,
     verdict,
+    weight_figure,
+    weight_rows,
 )
 from tom.studies.study import Row
 
@@ -98,7 +104,7 @@ def test_controls_fail_where_the_claim_would_mean_nothing():
 
 
 def test_an_outcome_without_optimisation_stops_at_the_planner():
-    case = replace(acceptance_cases([0])[0], optimise=False)
+    case = replace(cases(MAIN, [0])[0], optimise=False)
     found = outcome(case)
     assert found["planner_return"] < -100
     assert found["sac_return"] != found["sac_return"]  # not measured
@@ -106,7 +112,7 @@ def test_an_outcome_without_optimisation_stops_at_the_planner():
 
 
 def test_the_planner_is_no_figure_of_a_learner_that_follows_the_value():
-    case = next(c for c in baseline_cases([0]) if c.name == "vagram")
+    case = next(c for c in cases(OTHERS, [0]) if c.name == "vagram")
     found = outcome(replace(case, optimise=False))
     # It drives the model of the first fit, whose weights are uniform: MLE's model.
     assert isnan(found["planner_return"])
@@ -116,7 +122,7 @@ def test_the_planner_is_no_figure_of_a_learner_that_follows_the_value():
 
 @pytest.mark.slow
 def test_acceptance_on_seeds_that_nothing_was_tuned_on():
-    outcomes = [outcome(case) for case in acceptance_cases([4, 5, 6, 7])]
+    outcomes = [outcome(case) for case in cases(MAIN, [4, 5, 6, 7])]
     failed = {check["name"] for check in acceptance(outcomes) if not check["met"]}
     # MLE's SAC on seed 5 ends above its bound with one matmul kernel and below it with another
     # (docs/road-and-rocks.md); it never arrives.
@@ -128,7 +134,7 @@ def test_acceptance_on_seeds_that_nothing_was_tuned_on():
 
 @pytest.mark.slow
 def test_controls_on_seeds_that_nothing_was_tuned_on():
-    outcomes = [outcome(case) for case in control_cases([4, 5])]
+    outcomes = [outcome(case) for case in cases(CONTROLS, [4, 5])]
     failed = {check["name"] for check in controls(outcomes) if not check["met"]}
     # Seed 5 is the one of eight whose swapped labels come to more than 3 (docs/road-and-rocks.md).
     assert failed <= {"labels swapped: weight ratio, maximum"}
@@ -143,3 +149,17 @@ def test_the_verdict_agrees_where_tom_wins_and_has_the_road():
     assert all(line.endswith("the paper says otherwise.") for line in verdict(turned, []))
     once = [*PAIRS[:2], dict(PAIRS[2], sac_return=-151.0), *PAIRS[3:]]
     assert verdict(once, [])[0].endswith(": mostly as the paper says.")
+
+
+def test_the_weights_over_the_map():
+    rng = np.random.default_rng(0)
+    of = {
+        name: Story({"seed": 0}, [], rng.random((500, 2), np.float32), rng.random(500, np.float32))
+        for name in ("MLE", "TOM")
+    }
+    weights = pd.DataFrame(weight_rows(of))
+    names, count, mean = (weights[c].to_numpy() for c in ("learner", "transitions", "mean weight"))
+    assert {name: count[names == name].sum() for name in ("MLE", "TOM")} == {"MLE": 500, "TOM": 500}
+    found = np.average(mean[names == "TOM"], weights=count[names == "TOM"])
+    assert found == pytest.approx(of["TOM"].weights.mean())
+    assert len(weight_figure(of).axes) == 3
