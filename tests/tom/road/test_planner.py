@@ -3,7 +3,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from tom.road.planner import GRID, interpolation, planned
+from tom.road.measure import GRID, interpolation, planned
 
 
 def test_interpolation_is_exact_for_a_bilinear_function():
