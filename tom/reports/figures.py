@@ -123,6 +123,7 @@ def profile_figure(rows: Mapping[str, Sequence[Panel | None]]) -> Figure:
         for line, (name, panels) in zip(axes, rows.items(), strict=True):
             for ax, panel in zip(line, panels, strict=True):
                 if panel is None:
+                    ax.set(yticks=[])
                     ax.text(0.5, 0.5, "no such run", transform=ax.transAxes, ha="center")
                 else:
                     _draw(ax, panel)

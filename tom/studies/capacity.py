@@ -127,4 +127,4 @@ def capacity_figure(outcomes: Sequence[Row], ahead: str) -> Figure:
     points = [(model, one["way"], ratio) for one, model, ratio in ratios(outcomes, AHEAD[ahead])]
     colours = {name: learner_colour(way.learner or "") for name, way in WAYS.items()}
     what = f"error {ahead} ahead over that of uniform weights"
-    return strips(colours, points, 1.0, what, [0.25, 0.5, 1, 2])
+    return strips(colours, points, 1.0, what, [0.6, 0.8, 1, 1.25, 1.6, 2])

@@ -4,18 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from commands import code_of
-from torch import Tensor
 
 from tom.analysis.ordered_data import of_run
-from tom.analysis.weighing import fit_model
 from tom.cli import main
 from tom.config import SacRecordingConfig, TomConfig
 from tom.data.transitions import Transitions
 from tom.envs import task
-from tom.learners import LEARNERS
-from tom.learners.base import Weighting
 from tom.policy.stored import NAME, read_policy
 from tom.record import RunReader, Store
 from tom.studies.focus import (
@@ -88,24 +83,6 @@ def test_toms_rivals_have_the_objectives_of_their_presets():
     assert (mended.flow, mended.q_holdout, mended.divergence) == ("stationary", 0.2, "kl")
     assert exact == TomConfig.preset("exact")
     assert _config("hopper", "tom mended", "smoke").tom == mended  # a small model alone
-
-
-@pytest.mark.parametrize("rival", ["tom paper", "pmac"])
-def test_a_fit_clips_toms_weights_alone(recording: RunReader, rival: str):
-    data, config = of_run(recording), _config("hopper", rival, "smoke")
-    weights = np.full(len(data), 0.5, np.float32)
-    weights[-50:] = 0.5 * len(data) / 50 + 0.5
-    assert weights[-1] > 2 * config.model.weight_clip
-
-    def predicted(weights: np.ndarray) -> Tensor:
-        clipped = LEARNERS[config.learner].clipped
-        weighting = Weighting(torch.from_numpy(weights), clipped=clipped)
-        model = fit_model(data.transitions, weighting, config.model, 0)
-        return model.predict(data.transitions.obs[:20], data.transitions.action[:20])[1]
-
-    clipped = weights.clip(max=config.model.weight_clip)
-    same = torch.equal(predicted(weights), predicted(clipped))
-    assert same == (rival == "tom paper")
 
 
 @pytest.mark.slow
