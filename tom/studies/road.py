@@ -305,34 +305,36 @@ def _returns(stories: Sequence[Story]) -> Iterator[Row]:
 
 
 def return_figure(stories: Sequence[Story]) -> Figure:
-    """Return against steps of policy optimisation in the model: mean, and single seeds."""
-    figure = new_figure(5.2, 3.2)
-    ax = figure.subplots()
+    """Return against steps of policy optimisation in the model."""
+    drawn = {}
     for name, (learner, label) in LEARNERS.items():
         curves = np.array([s.returns for s in stories if s.outcome["name"] == name])  # (S, T, 2)
-        steps, values, colour = curves[0, :, 0], curves[:, :, 1], learner_colour(learner)
-        ax.plot(steps, values.T, color=colour, alpha=0.3, linewidth=0.7)
-        ax.plot(steps, values.mean(0), color=colour, label=f"{label} (n = {len(curves)})")
+        drawn[f"{label} (n = {len(curves)})"] = learner, curves[0, :, 0], curves[:, :, 1]
+    figure = _curves(drawn, "steps of policy optimisation in the model", "return in the real task")
     expert = [s.outcome["return_expert"] for s in stories]
-    ax.axhline(float(np.mean(expert)), color=NEUTRAL, linestyle="--", linewidth=0.8)
-    ax.set_xlabel("steps of policy optimisation in the model")
-    ax.set_ylabel("return in the real task")
-    ax.legend()
+    figure.axes[0].axhline(float(np.mean(expert)), color=NEUTRAL, linestyle="--", linewidth=0.8)
     return figure
 
 
 def sweep_figure(outcomes: Sequence[Row]) -> Figure:
     """The planner's return in each learner's model as the rocks turn more."""
+    drawn = {}
+    for name in MAIN:
+        reward = np.array([o["planner_return"] for o in _named(outcomes, name)])  # seed by seed
+        drawn[name.upper()] = name, np.array(TURNS), reward.reshape(-1, len(TURNS))
+    what = "mean turn of the steering on rocks, degrees"
+    return _curves(drawn, what, "return of the planner")
+
+
+def _curves(drawn: Mapping[str, tuple[str, Array, Array]], x_label: str, y_label: str) -> Figure:
+    """A learner's x (T,) and values (S, T) under each label: their mean, single seeds faint."""
     figure = new_figure(5.2, 3.2)
     ax = figure.subplots()
-    for name in MAIN:
-        own, colour = _named(outcomes, name), learner_colour(name)
-        turn, reward = (np.array([o[key] for o in own]) for key in ("turn", "planner_return"))
-        ax.plot(turn, reward, "o", color=colour, alpha=0.35, markersize=3)
-        means = [reward[turn == at].mean() for at in TURNS]
-        ax.plot(TURNS, means, color=colour, label=name.upper())
-    ax.set_xlabel("mean turn of the steering on rocks, degrees")
-    ax.set_ylabel("return of the planner")
+    for label, (learner, x, values) in drawn.items():
+        colour = learner_colour(learner)
+        ax.plot(x, values.T, color=colour, alpha=0.3, linewidth=0.7)
+        ax.plot(x, values.mean(0), color=colour, label=label)
+    ax.set(xlabel=x_label, ylabel=y_label)
     ax.legend()
     return figure
 
