@@ -25,7 +25,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise UserError("--screenshots and --cinema are two commands: leave one out")
         if args.run and not args.cinema:
             raise UserError("--run is that of --cinema DIR: add it, or choose the run on a page")
-        _check_free(args.screenshots, args.cinema)
+        if out := args.screenshots or args.cinema:  # before any server or browser starts
+            places = out.absolute(), *out.absolute().parents
+            there = next(path for path in places if path.exists())
+            if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
+                raise UserError(f"cannot write into {there}: name another folder")
         if args.screenshots:
             from app.servers.browser import (
                 take,  # needs playwright, which only the test extra has
@@ -91,16 +95,6 @@ def _readable(store: Path) -> Path:
     if store.exists() and not os.access(store, os.R_OK | os.X_OK):
         raise UserError(f"cannot read the store {store}: name another with --store")
     return store.absolute()
-
-
-def _check_free(*folders: Path | None) -> None:
-    """Raises UserError for a folder that cannot be made: before any server or browser starts."""
-    for place in (path.absolute() for path in folders if path):
-        there = next(path for path in (place, *place.parents) if path.exists())
-        if not there.is_dir():
-            raise UserError(f"{there} is a file: name a folder")
-        if not os.access(there, os.W_OK | os.X_OK):
-            raise UserError(f"cannot write into {there}: name another folder")
 
 
 if __name__ == "__main__":

@@ -157,7 +157,12 @@ def draw() -> Scope:
         asked = address.word("run")
         of_task = _of_task(everything, asked)
         if asked and all(run.run_id != asked for run in everything):
-            _absent(store, asked)
+            from app.data import weighings  # here: few addresses need it
+
+            if asked in readers.trashed(store):
+                st.warning(f"Run {text.markdown(asked)} is in the trash: Curves, Runs restores it.")
+            elif all(one.run_id != asked for one in weighings.datasets(store)):
+                st.warning(f"There is no run {text.markdown(asked)} in this store.")
         words = address.text_input(
             "Search", "find", placeholder="search: a regular expression",
             label_visibility="collapsed", icon=":material/search:",
@@ -197,18 +202,6 @@ def _of_task(everything: Sequence[RunReader], asked: str) -> list[RunReader]:
     )  # fmt: skip
     st.session_state["task shown"] = "" if env == EVERY_TASK else task(env)  # a window's title
     return [run for run in everything if env in (EVERY_TASK, run.env)]
-
-
-def _absent(store: str, asked: str) -> None:
-    """Say where the chosen run is, which is not among the runs of the store."""
-    from app.data import weighings  # here: few addresses need it
-
-    if any(one.run_id == asked for one in weighings.datasets(store)):
-        return
-    if asked in readers.trashed(store):
-        st.warning(f"Run {text.markdown(asked)} is in the trash: Curves, Runs brings it back.")
-    else:
-        st.warning(f"There is no run {text.markdown(asked)} in this store.")
 
 
 def _filtered(runs: Sequence[RunReader]) -> tuple[list[RunReader], str]:

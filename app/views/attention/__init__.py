@@ -29,7 +29,6 @@ from tom.metrics import describe
 from tom.readable import percent, short
 from tom.record.decode import Profiles
 from tom.record.reader import RunReader, at_or_before
-from tom.record.status import Status
 from tom.record.thin import FITS
 
 ONE, LEARNERS_ON_IT = "One learner's weights", "Every learner on one buffer"
@@ -65,7 +64,17 @@ def page(scope: Scope) -> None:
         which = "The chosen run has not" if asked else "No run here has"
         st.info(f"{which} fitted a model yet: weights come with the first fit.")
         return
-    run = _pick_weigher(run)
+    found = readers.weighers(run) or {run.learner: run}  # by its own weights, or by live ones
+    weigher = next(iter(found))
+    if len(found) > 1:
+        weigher = address.choose_one(
+            st.segmented_control, "Weights by", list(found), "by", weigher, learner_label,
+            required=True,
+        )  # fmt: skip
+    run = found[weigher]
+    if run.home != run.path:  # no card shows it
+        for words in filter(None, (*run.status.warnings, run.status.reason)):
+            st.caption(text.markdown(words))
     profiles = readers.profiles(run)
     fits, evaluations = profiles.env_step.tolist(), run.evaluation_steps()
     if fits:
@@ -87,22 +96,6 @@ def page(scope: Scope) -> None:
     else:
         st.warning("The weight profiles of this run cannot be read.")
     widgets.show_problems(run)
-
-
-def _pick_weigher(run: RunReader) -> RunReader:
-    """The run seen with the weights of one learner: its own, or live ones."""
-    found = readers.weighers(run) or {run.learner: run}
-    chosen = next(iter(found))
-    if len(found) > 1:
-        chosen = address.choose_one(
-            st.segmented_control, "Weights by", list(found), "by", chosen, learner_label,
-            required=True,
-        )  # fmt: skip
-    run = found[chosen]
-    live = run.status if run.home != run.path else Status()  # no card shows it
-    for words in filter(None, (*live.warnings, live.reason)):
-        st.caption(text.markdown(words))
-    return run
 
 
 def _numbers(run: RunReader, profiles: Profiles) -> None:

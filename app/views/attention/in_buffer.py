@@ -90,7 +90,16 @@ def draw(run: RunReader, fit: int) -> None:
     if rows is None:
         st.warning(UNREADABLE)
         return
-    against = _pick_against(sources, source, top[1])
+    others = {
+        label: f"step {int(label):,}" if label.isdecimal() else label
+        for label in sources
+        if label != source.label
+    }
+    against = address.choose_one(
+        top[1].selectbox, "Compare with the weights of", [NONE, *others], "against", NONE,
+        lambda label: others.get(label, label), disabled=not others,
+        help="offered as a colour of the map: how many times the other's weight a row has",
+    )  # fmt: skip
     key = _pick_plane(run, sources, source, top[2])
     where, outline = address.words("where"), address.words("outline")
     selection, row = Selection.of(where, outline), why.asked(rows)
@@ -98,7 +107,8 @@ def draw(run: RunReader, fit: int) -> None:
     given = _given(run, rows, source, [source] if source.weighing else shown, row)
     keys = [key, *({selection.outline.plane} - {key} if selection.outline else ())]
     given["planes"] = [plane for one in keys if (plane := buffer_map.given_plane(run, one))]
-    given["against"] = buffer_map.given_source(run, against) if against else None
+    beside = sources.get(against)
+    given["against"] = buffer_map.given_source(run, beside) if beside else None
     state = st.session_state
     with st.container(border=True):
         map.draw(
@@ -134,20 +144,6 @@ def _pick_weights(
     if weighing := sources[chosen].weighing:
         say_of(weighing, buffer.length(run))
     return sources[chosen]
-
-
-def _pick_against(
-    sources: Mapping[str, Source], source: Source, place: DeltaGenerator
-) -> Source | None:
-    """Other weights of the buffer, with which the map compares these."""
-    others = [label for label in sources if label != source.label]
-    shown = {label: f"step {int(label):,}" if label.isdecimal() else label for label in others}
-    chosen = address.choose_one(
-        place.selectbox, "Compare with the weights of", [NONE, *others], "against", NONE,
-        lambda label: shown.get(label, label), disabled=not others,
-        help="offered as a colour of the map: how many times the other's weight a row has",
-    )  # fmt: skip
-    return sources.get(chosen)
 
 
 def _pick_plane(

@@ -87,8 +87,14 @@ def draw(scope: Scope) -> None:
             _weighed(found[chosen], rows)
         else:
             st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
-        if isinstance(run, Dataset):
-            _weigh_again(run)
+        if isinstance(run, Dataset):  # pages do not look for the user's files
+            with st.expander("Weigh this data", icon=":material/scale:"):
+                st.caption(
+                    "No run collected it: weigh it in a terminal, where it lies by now:"
+                )
+                st.code(form.shown(run.words(store)), language="bash", wrap_lines=True)
+                st.caption("It was last weighed by:")
+                st.code(run.command, language="bash", wrap_lines=True)
         else:
             _weigh(run, kept, expanded=not found)
     with st.expander("Data and policies of your own", icon=":material/upload_file:"):
@@ -226,13 +232,3 @@ def _weigh(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None
         if run.run_id not in policies and not widgets.left_out(run, "policy"):
             st.caption("This run holds no policy of its own: it is written when a run has ended.")
     jobs.show(job)
-
-
-def _weigh_again(run: Dataset) -> None:
-    """Show the command that weighs a data set, because pages do not look for the user's files."""
-    with st.expander("Weigh this data", icon=":material/scale:"):
-        st.caption("No run collected it, so it is weighed in a terminal, where it lies by now:")
-        words = run.words(session.links().store)
-        st.code(form.shown(words), language="bash", wrap_lines=True)
-        st.caption("It was last weighed by:")
-        st.code(run.command, language="bash", wrap_lines=True)

@@ -23,8 +23,6 @@ from app.parts.plot import chart
 from app.scenes.film import ghosts
 from app.theme import learner_label
 from tom.analysis.brush import FACTORS
-from tom.analysis.why import Sum
-from tom.config import TomConfig
 from tom.envs import ROAD, is_code
 from tom.learners import SUBJECT
 from tom.readable import number, percent, score, short
@@ -76,7 +74,17 @@ def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None
                 summed = found.sum_of(row)
                 figure = waterfall(summed, SUBJECT, HEIGHT)
                 chart(figure, "why sum", "the terms that make the weight")
-                st.caption(_formula(found.config, summed, found.whose))
+                config, raw = found.config, summed.raw
+                mean = f" / {short(summed.mean)} (its mean over the buffer)"
+                formula = FORMULA[config.divergence].replace("sum", short(summed.argument))
+                formula += "." if config.divergence == "kl" else f"{mean}."
+                g = 1.0 if config.flow == "stationary" else config.discount
+                cut = " The sum lies below the cut, so the weight is zero." if raw == 0 else ""
+                said = (
+                    f"{short(summed.weight)} = {formula}{cut} Divergence {config.divergence}, flow "
+                    f"{FLOWS[config.flow]}; g = {g:g}. Terms of {found.whose}."
+                )
+                st.caption(text.markdown(said))
             with right:
                 _neighbours(run, rows, found, row)
         if run.env != ROAD:
@@ -116,20 +124,6 @@ def _head(rows: Rows, row: int) -> None:
         "ends the episode": "yes" if rows.rows.numpy().ended()[row] else "no",
     }
     widgets.metrics(numbers, {"heavier than": "of the buffer"})
-
-
-def _formula(config: TomConfig, parts: Sum, whose: str) -> str:
-    """The weight as a formula with its numbers."""
-    divided = (
-        f" / {short(parts.mean)} (its mean over the buffer)" if config.divergence != "kl" else ""
-    )
-    g = 1.0 if config.flow == "stationary" else config.discount
-    cut = " The sum lies below the cut, so the weight is zero." if parts.raw == 0 else ""
-    formula = FORMULA[config.divergence].replace("sum", short(parts.argument))
-    return text.markdown(
-        f"{short(parts.weight)} = {formula}{divided}.{cut} Divergence {config.divergence}, flow "
-        f"{FLOWS[config.flow]}; g = {g:g}. Terms of {whose}."
-    )
 
 
 def _neighbours(run: RunReader, rows: Rows, found: Why, row: int) -> None:

@@ -87,9 +87,14 @@ def draw(scope: Scope) -> None:
         for name in ("median step", "first")
     }
     st.dataframe(table.assign(**steps).rename(columns={"first": "first run"}), hide_index=True)
+    of_runs = pd.DataFrame(
+        {"group": name, "run": curve.run_id, "seed": curve.seed, "score": value}
+        for name, group, values in zip(names, grouped, scores, strict=True)
+        for curve, value in zip(group.curves, values, strict=True)
+    )
     widgets.downloads(
         {
-            "Scores": (lambda: _scores(names, grouped, scores), "scores"),
+            "Scores": (lambda: of_runs, "scores"),
             "Improvement": (lambda: pairs, "improvement"),
             "Steps to reach": (lambda: table, "reached"),
         },
@@ -181,13 +186,3 @@ def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) ->
         }
         for pair in pairs
     )  # fmt: skip
-
-
-def _scores(
-    names: Sequence[str], grouped: Sequence[Group], scores: Sequence[NDArray]
-) -> pd.DataFrame:
-    return pd.DataFrame(
-        {"group": name, "run": curve.run_id, "seed": curve.seed, "score": value}
-        for name, group, values in zip(names, grouped, scores, strict=True)
-        for curve, value in zip(group.curves, values, strict=True)
-    )

@@ -49,10 +49,14 @@ def _side(scope: Scope) -> None:
     """Two to four runs: returns and weights on linked axes, replays at one step."""
     runs = scope.shown
     called = names(runs)
+    of_task = [run for run in runs if run.env == runs[0].env]
+    newest = {scope.title(run): run.run_id for run in reversed(of_task)}
+    usual = [newest[title] for title in scope.order if title in newest][:MOST]
+    if len(usual) < 2:
+        usual = [run.run_id for run in of_task][:2]
     picked = address.choose_many(
-        f"Two to {MOST} runs", list(called), "side", called.__getitem__, _first_runs(scope),
-        max_selections=MOST,
-    )  # fmt: skip
+        f"Two to {MOST} runs", list(called), "side", called.__getitem__, usual, max_selections=MOST
+    )
     chosen = [run for run_id in picked for run in runs if run.run_id == run_id]
     if len(chosen) < 2:
         st.info("Pick two runs or more.", icon=":material/splitscreen_vertical_add:")
@@ -87,14 +91,6 @@ def _side(scope: Scope) -> None:
             run = chosen[i]
             with column:
                 _replay(run, called[run.run_id], evaluated[run.run_id], step, f"side{i}", played)
-
-
-def _first_runs(scope: Scope) -> list[str]:
-    """The newest shown run of each of the first groups, of one task."""
-    runs = [run for run in scope.shown if run.env == scope.shown[0].env]
-    newest = {scope.title(run): run.run_id for run in reversed(runs)}
-    first = [newest[title] for title in scope.order if title in newest][:MOST]
-    return first if len(first) > 1 else [run.run_id for run in runs][:2]
 
 
 def _replay(
