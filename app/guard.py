@@ -29,6 +29,12 @@ class Guard:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
+
+        async def sending(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).append("Content-Security-Policy", POLICY)
+            await send(message)
+
         base, path = self._links.base, scope["path"]
         asked = Headers(scope=scope).get
         if why := refusal(asked, self._links.host, proxied=bool(base)):
@@ -43,16 +49,7 @@ class Guard:
             if scope["type"] == "websocket":
                 await self._app(_with_key(scope), receive, send)
             else:
-                await self._app(scope, receive, _with_policy(send))
-
-
-def _with_policy(send: Send) -> Send:
-    async def sending(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            MutableHeaders(scope=message).append("Content-Security-Policy", POLICY)
-        await send(message)
-
-    return sending
+                await self._app(scope, receive, sending)
 
 
 def _with_key(scope: Scope) -> Scope:

@@ -25,27 +25,18 @@ class Figures(dict[str, go.Figure]):
 
 def figures(shown: Run | Weighing, height: int) -> Figures:
     """The figures that the pages show of a run or a weighing."""
-    return _of_run(shown, height) if isinstance(shown, Run) else _of_weighing(shown, height)
-
-
-def _of_run(run: Run, height: int) -> Figures:
-    reader, profiles = run.reader, run.reader.profiles()
-    env, learner = reader.env, reader.learner
-    step, value = curve_points(run.metrics.reset_index(), RETURN)
-    figures = Figures()
+    if isinstance(shown, Weighing):
+        share = shown.random_share
+        return Figures(profiles=probe_profiles(shown.by_learner(), share, height))
+    reader, found = shown.reader, Figures()
+    env, learner, profiles = reader.env, reader.learner, reader.profiles()
+    step, value = curve_points(shown.metrics.reset_index(), RETURN)
     if len(step):
         preset = str(reader.config.get("preset", "?"))
-        curve = Curve(run.name, env, learner, preset, reader.seed, step, value)
-        figures["return"] = run_curves([curve], RETURN, height, legend=False)
+        curve = Curve(shown.name, env, learner, preset, reader.seed, step, value)
+        found["return"] = run_curves([curve], RETURN, height, legend=False)
     if len(profiles.env_step):
         x = steps_in_words([env])
-        figures |= {
-            "every fit": weight_map(profiles, "light", height, x=x),
-            "the last fit": weight_profile(profiles.bins[-1], learner, height),
-        }
-    return figures
-
-
-def _of_weighing(weighing: Weighing, height: int) -> Figures:
-    share = weighing.random_share
-    return Figures(profiles=probe_profiles(weighing.by_learner(), share, height))
+        found["every fit"] = weight_map(profiles, "light", height, x=x)
+        found["the last fit"] = weight_profile(profiles.bins[-1], learner, height)
+    return found

@@ -117,13 +117,10 @@ def _listed(view: View | Page, icon: str, first: bool) -> StreamlitPage:
 def draw(page: Callable[[], None]) -> None:
     """The page, or the empty store's page if there are neither runs nor weighed data."""
     store = session.links().store
-    if readers.listing(store).runs:
-        page()
-        return
-    from app.data import weighings  # here: a store with runs needs neither
-    from app.parts import start
+    if not readers.listing(store).runs:
+        from app.data import weighings  # here: a store with runs needs neither
+        from app.parts import start
 
-    if weighings.datasets(store):
-        page()
-    else:
-        start.first_page()
+        if not weighings.datasets(store):
+            page = start.first_page
+    page()

@@ -2,6 +2,7 @@
 
 import base64
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -54,6 +55,10 @@ def draw(view: str, **query: str | list[str]) -> AppTest:
     app.run()
     assert not app.exception, app.exception[0].message
     return app
+
+
+in_buffer = partial(draw, "attention", rows="true")
+on_one_buffer = partial(draw, "attention", part="Every learner on one buffer")
 
 
 def numbers_behind(**query: str) -> AppTest:

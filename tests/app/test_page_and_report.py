@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 from studio_pages import Show, draw
 
-from tom.analysis.scores import BEST
 from tom.learners import LEARNERS
 from tom.record import Store
 from tom.studies import returns_cells as study
@@ -57,17 +56,3 @@ def test_the_table_of_curves_is_the_report_s(env: str) -> None:
         assert (on_page["n"], on_page["steps"]) == (row["n"], row["at step"])
         assert on_page["best"] == row["mean"]
         assert on_page["best, 95 %"] == f"{row['low']:,.4g} to {row['high']:,.4g}"
-
-
-@pytest.mark.parametrize("env", ENVS)
-def test_the_statistics_are_the_report_s(env: str) -> None:
-    query = {"part": "Statistics", "task": env, "score": BEST}
-    table = draw("curves", show=LABELS, **query).dataframe[0].value.set_index("group")
-    rows = reported(env)
-    assert set(table.index) == set(rows)
-    for learner, row in rows.items():
-        on_page = table.loc[learner]
-        assert on_page["n"] == row["n"]
-        assert on_page["mean"] == f"{row['mean']:.4g} [{row['low']:.4g}, {row['high']:.4g}]"
-        assert on_page["median"].split()[0] == f"{row['median']:.4g}"
-        assert on_page["iqm"].split()[0] == f"{row['IQM']:.4g}"

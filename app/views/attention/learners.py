@@ -89,9 +89,7 @@ def draw(scope: Scope) -> None:
             st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
         if isinstance(run, Dataset):  # pages do not look for the user's files
             with st.expander("Weigh this data", icon=":material/scale:"):
-                st.caption(
-                    "No run collected it: weigh it in a terminal, where it lies by now:"
-                )
+                st.caption("No run collected it: weigh it in a terminal, where it lies by now:")
                 st.code(form.shown(run.words(store)), language="bash", wrap_lines=True)
                 st.caption("It was last weighed by:")
                 st.code(run.command, language="bash", wrap_lines=True)

@@ -94,7 +94,8 @@ def grouped(
 
     def make() -> tuple[list[Curve], list[Group]]:
         curves = [curve(run, metric, x, kinds[run.run_id]) for run in runs]
-        return curves, groups(curves, statistic, band) if advancing(curves) else []
+        advancing = all((np.diff(one.step) > 0).all() for one in curves)
+        return curves, groups(curves, statistic, band) if advancing else []
 
     return _GROUPED.get((held(runs, kinds), metric, x, statistic, band), make)
 
@@ -121,11 +122,6 @@ def curve(run: RunReader, metric: str, x: str = STEPS, kind: Kind | None = None)
             step = step / 60
     variant = kind.variant if kind else ""
     return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value, variant, kind)
-
-
-def advancing(curves: Sequence[Curve]) -> bool:
-    """Whether every curve advances along the axis, so that runs can be put together."""
-    return all((np.diff(one.step) > 0).all() for one in curves)
 
 
 def repeated(grouped: Sequence[Group]) -> bool:

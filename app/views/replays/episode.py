@@ -135,7 +135,14 @@ def _play(
             name = f"episode-{replay.step}-{index}-{horizon}.rrd"
             widgets.rerun(run, STAGE_HEIGHT, name)
         elif replay.drawn:
-            choice = _choice(run.run_id, replay, index, horizon)
+            asked, wish, at = st.session_state.get(ASKED, NOTHING)
+            state = st.session_state
+            choice = ReplayChoice(
+                run.run_id, replay.step, index, at, horizon, asked=asked, wish=wish,
+                speed=state.get("replay speed", REAL_TIME),
+                ghost=bool(state.get("replay ghost", True)),
+                follow=bool(state.get("replay follows", True)),
+            )  # fmt: skip
             widgets.stage(choice, STAGE_HEIGHT, PART, compact=True)
             _controls(replay, playing=playing)
         else:
@@ -218,17 +225,6 @@ def go_to(frame: int) -> None:
     """Ask the scene to go to a step."""
     st.session_state[FRAME] = frame
     _ask("go", frame)
-
-
-def _choice(run_id: str, replay: Replay, index: int, horizon: int) -> ReplayChoice:
-    """The message for the scene: the episode and the last request."""
-    asked, wish, frame = st.session_state.get(ASKED, NOTHING)
-    state = st.session_state
-    return ReplayChoice(
-        run_id, replay.step, index, frame, horizon, asked=asked, wish=wish,
-        speed=state.get("replay speed", REAL_TIME), ghost=bool(state.get("replay ghost", True)),
-        follow=bool(state.get("replay follows", True)),
-    )  # fmt: skip
 
 
 def _controls(replay: Replay, *, playing: bool) -> None:

@@ -3,14 +3,13 @@
 import json
 import tempfile
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from kernel import wait_for
-from studio_pages import Show, array, captions, draw, figures
+from studio_pages import Show, array, captions, draw, figures, in_buffer
 from studio_runs import PENDULUM_TOM, WAITING, info, stand_in, undescribed, with_weighing
 
 from app.data import buffer_map, trainings, weighings
@@ -27,7 +26,6 @@ from tom.record.reader import RunReader
 from tom.reports.weighing_files import REPORT, WEIGHTS, copy_small
 
 FIT = 300
-in_buffer = partial(draw, "attention", rows="true")
 
 
 @pytest.fixture(scope="module")

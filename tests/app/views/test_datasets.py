@@ -3,13 +3,12 @@
 import shlex
 import shutil
 from dataclasses import fields
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from studio_pages import Show, draw, figures, map_of
+from studio_pages import Show, draw, figures, in_buffer, map_of, on_one_buffer
 
 from app.data import weighings
 from app.router import VIEWS, View
@@ -23,8 +22,6 @@ from tom.record.files import read_json
 
 ENV = "inverted-pendulum"
 N = 300
-in_buffer = partial(draw, "attention", rows="true")
-on_one_buffer = partial(draw, "attention", part="Every learner on one buffer")
 GALLERY_RUN = str(Path(__file__).parents[3] / "runs" / "inverted-pendulum-tom-s0-162b7ad0")
 
 

@@ -16,9 +16,11 @@ from studio_runs import PENDULUM_TOM, change
 
 from app.data import readers, studies
 from app.data.every_way import every_way
+from app.data.verdicts import verdict
 from app.links import Links
 from app.parts import jobs
 from app.servers.pages import routes
+from app.views.findings import question
 from tom.record import layout
 from tom.reports.report import write_csv, write_report
 
@@ -107,6 +109,14 @@ def test_all_ways_are_drawn_once_both_studies_are_there(
     ]
     named = [trace["name"] for trace in drawn if trace["showlegend"]]
     assert sorted(named) == sorted({trace["name"] for trace in drawn})
+
+
+def test_a_study_without_toms_weights_asks_about_the_ways_that_it_has() -> None:
+    listed = {study.name: study for study in studies.listing(GALLERY)}
+    asked = {n: question(listed[n], verdict(listed[n])) for n in ("capacity", "capacity-ways")}
+    assert asked["capacity"] == studies.QUESTIONS["capacity"]
+    assert "PMER" in asked["capacity-ways"]
+    assert "TOM" not in asked["capacity-ways"]
 
 
 def test_a_study_says_the_claim_the_verdict_and_the_command(reports: Path) -> None:

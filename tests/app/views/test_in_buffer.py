@@ -1,6 +1,5 @@
 """Attention in the buffer: the map, the selection and what it chooses are the recorded rows."""
 
-from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
@@ -10,7 +9,7 @@ import pytest
 from kernel import wait_for
 from numpy.typing import NDArray
 from streamlit.testing.v1 import AppTest
-from studio_pages import Show, answers, draw, map_of
+from studio_pages import Show, answers, in_buffer, map_of
 from studio_runs import PENDULUM_TOM, info
 
 from app.data import arrays, buffer, buffer_map, columns
@@ -26,7 +25,6 @@ from tom.record.task_record import dimension_names
 
 pytestmark = pytest.mark.usefixtures("studio")
 FIT = 300
-in_buffer = partial(draw, "attention", rows="true")
 
 
 @pytest.fixture

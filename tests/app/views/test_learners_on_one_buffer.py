@@ -3,13 +3,12 @@
 import json
 import shlex
 import shutil
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from studio_pages import Show, array, captions, draw, figures, map_of, plain, trace
+from studio_pages import Show, array, captions, draw, figures, map_of, on_one_buffer, plain, trace
 from studio_runs import PENDULUM_TOM, info, with_weighing
 
 from app.data import buffer, weighings
@@ -22,7 +21,6 @@ from tom.reports.weighing_files import REPORT
 
 pytestmark = pytest.mark.usefixtures("weighed")
 ROWS = 400
-on_one_buffer = partial(draw, "attention", part="Every learner on one buffer")
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +103,16 @@ def test_a_weighing_of_a_run_that_went_on_is_of_its_first_rows(weighed: Path) ->
     rows = buffer.weighed_rows(run, found.weights()["tom", 0], found.end)
     assert rows is not None
     assert (rows.first, len(rows)) == (0, ROWS)
+
+
+def test_the_chosen_runs_newest_weighing_is_shown(weighed: Path) -> None:
+    newer = shutil.copytree(weighed, weighed.with_name("a newer one"))
+    (newer / REPORT).touch()
+    app = on_one_buffer(run="pendulum-mle-0")  # which nobody has weighed
+    app.session_state["run"] = [PENDULUM_TOM]  # as a click on its name does
+    app.run()
+    assert app.selectbox(key="weighed").value == "a newer one"
+    assert "weighed" not in app.query_params
 
 
 def test_damaged_weighings_are_left_out(weighed: Path) -> None:

@@ -3,7 +3,6 @@
 import json
 import shutil
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
-from studio_pages import Show, array, draw, figures, map_of
+from studio_pages import Show, array, draw, figures, in_buffer, map_of, on_one_buffer
 from studio_runs import PENDULUM_TOM, info, undescribed
 
 from app.data import buffer, replays
@@ -24,8 +23,6 @@ from tom.training.run import train
 
 MUJOCO = ("Swimmer-v5", "Reacher-v5", "Pusher-v5")
 PENDULUM = "Pendulum-v1"
-in_buffer = partial(draw, "attention", rows="true")
-on_one_buffer = partial(draw, "attention", part="Every learner on one buffer")
 SMALL = {"steps": 320, "evaluation": {"every": 160, "episodes": 1}, "matmul": "default"}
 
 

@@ -3,13 +3,12 @@
 import os
 import shutil
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from studio_pages import Show, array, draw, figures, metrics, trace
+from studio_pages import Show, array, draw, figures, in_buffer, metrics, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import buffer, buffer_map, why
@@ -24,7 +23,6 @@ from tom.training.presets import resolve
 from tom.training.run import train
 
 FIT = 300
-in_buffer = partial(draw, "attention", rows="true")
 
 
 @pytest.fixture
