@@ -34,10 +34,8 @@ LINES = 6
 """groups that are shown until the user opens more"""
 LOOK_S = 5
 """seconds between two looks at whether a training has begun or ended"""
-LISTED = 200
-"""runs that the list names"""
-SPARKS = 24
-"""points of a run's small line"""
+LISTED, SPARKS = 200, 24
+"""runs that the list names, and points of a run's small line"""
 EVERY_TASK = "every task"
 FILTERS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     "state": ("State", "shown", str),

@@ -33,7 +33,6 @@ RECENT_S, MOST = 900, 6
 """seconds for which a run that has ended is still shown, and the number of those that are"""
 IN_ROW, FIELDS_IN_ROW = 3, 4
 NAMED = 3
-"""maximum number of changed settings that a card names"""
 FORGET = 6
 """trainings started here that are remembered after their end, and failures that are shown"""
 FOLD, OPENED = "starting", "start opened"

@@ -30,10 +30,8 @@ from tom.record.reader import RunReader
 
 HEIGHT = 380
 SIGNIFICANT = 0.05
-"""the p below which a difference of two learners is called more than noise"""
-MODELS = 8
-"""maximum number of stored models to test on one buffer: the newest of each group in turn"""
-BINS = 20
+MODELS, BINS = 8, 20
+"""stored models that are tested on one buffer, and parts of it whose mean errors are drawn"""
 NO_EXAM = "no exam (of a version before exams, or its first fit still serves)"
 WHAT = (
     "The exam of a fit: the real steps that its policy went on to make until the next fit. They "
@@ -48,11 +46,8 @@ OWN = (
 )
 LENGTHS = 2.0
 """a run is like the others if it has between half and twice their median number of steps"""
-FEW_NAMED = 8
-"""runs that are named in a line; more are named in its help"""
-NAMED = 3
-"""groups that a sentence names at most"""
-NEEDED = f"two learners with {statistics.RANKED} seeds each are needed"
+FEW_NAMED, NAMED = 8, 3
+"""runs that are named in a line, not in its help; groups that a sentence names at most"""
 PAIRS = {
     "One step": ("model/error_policy", "model/error_other"),
     "Five steps in a row": ("model/rollout_error_policy", "model/rollout_error_other"),
@@ -99,7 +94,18 @@ def draw(scope: Scope, env: str) -> None:
 
 def _exams(runs: Sequence[RunReader]) -> None:
     """Who errs least on its own policy's transitions, the numbers, and a figure of all fits."""
-    exams, result = examined(runs)
+
+    def make() -> tuple[list[Exams], Ranking]:
+        names = group_names(runs)
+        read = [
+            exams_of(run.run_id, run.learner, run.seed, names[run.run_id], readers.metrics(run))
+            for run in sorted(runs, key=lambda run: (run.learner, run.seed, run.run_id))
+        ]
+        exams = [one for one in read if len(one.step)]
+        return exams, ranking(exams, counted_from(map(readers.metrics, runs)))
+
+    version = tuple((run.path, run.version("metrics")) for run in runs)
+    exams, result = _RANKINGS.get(tuple(run.path for run in runs), make, version)
     sat = {one.run_id: result.ended_before(one) for one in exams}
     without = [run for run in runs if run.run_id not in sat]
     early = [run for run in runs if sat.get(run.run_id)]
@@ -122,22 +128,6 @@ def _exams(runs: Sequence[RunReader]) -> None:
     st.caption(f"{text.markdown(few)}. {OWN}" if few else OWN)
 
 
-def examined(runs: Sequence[RunReader]) -> tuple[list[Exams], Ranking]:
-    """The exams of the runs that have any, and their ranking."""
-
-    def make() -> tuple[list[Exams], Ranking]:
-        names = group_names(runs)
-        read = [
-            exams_of(run.run_id, run.learner, run.seed, names[run.run_id], readers.metrics(run))
-            for run in sorted(runs, key=lambda run: (run.learner, run.seed, run.run_id))
-        ]
-        exams = [one for one in read if len(one.step)]
-        return exams, ranking(exams, counted_from(map(readers.metrics, runs)))
-
-    version = tuple((run.path, run.version("metrics")) for run in runs)
-    return _RANKINGS.get(tuple(run.path for run in runs), make, version)
-
-
 def group_names(runs: Sequence[RunReader]) -> dict[str, str]:
     """By run id the name of its group: its learner, and what distinguishes it from other groups."""
     kinds = kinds_of(runs)
@@ -147,6 +137,10 @@ def group_names(runs: Sequence[RunReader]) -> dict[str, str]:
 
 def verdict(result: Ranking) -> str:
     """One sentence: who errs least on its policy's transitions, by how much, and if it is noise."""
+    until = f" to step {result.until:,.0f}" if np.isfinite(result.until) else ""
+    counted = f" up{until}" if until else ""  # the steps whose fits count; empty if all do
+    if np.isfinite(result.since):
+        counted = f" from step {result.since:,.0f}{until or ' on'}"
     if not result.ranked:
         counts = "; ".join(
             f"{text.markdown(one.name)}: {_runs(one)}, typical error {short(one.typical)}"
@@ -155,38 +149,25 @@ def verdict(result: Ranking) -> str:
         if len(result.standings) > NAMED:
             counts = f"the errors of {len(result.standings)} groups stand in the table below"
         return (
-            f"**Too few seeds to rank** ({NEEDED}). "
-            f"Where the policy goes, one step ahead in the exams{counted(result)}: {counts}."
+            f"**Too few seeds to rank** (two learners with {statistics.RANKED} seeds each are "
+            f"needed). Where the policy goes, one step ahead in the exams{counted}: {counts}."
         )
     first, second = result.ranked[:2]
     beats, p = result.first_beats_second, result.chance
     one, other = (text.markdown(standing.name) for standing in (first, second))
-    less = 1 - first.typical / second.typical
     errors = (
-        f"{short(first.typical)}, {percent(less, 0)} less than {other}, the next, "
-        f"with {short(second.typical)},{counted(result)} "
+        f"{short(first.typical)}, {percent(1 - first.typical / second.typical, 0)} less than "
+        f"{other}, the next, with {short(second.typical)},{counted} "
         f"(n: {_runs(first)}; {_runs(second)})"
     )
     chance = (
         f"a run of {one} errs less than one of {other} with probability {beats.value:.2f} "
         f"(95 % interval {beats.low:.2f} to {beats.high:.2f}; p {p:.2g} by permutation)"
     )
+    where = "**Where its own policy goes, "
     if p < SIGNIFICANT:
-        return (
-            f"**Where its own policy goes, {one} errs least**: {errors}. More than noise: {chance}."
-        )
-    return (
-        f"**Where its own policy goes, nobody errs less beyond noise**: least is {one} with "
-        f"{errors}, but {chance}."
-    )
-
-
-def counted(result: Ranking) -> str:
-    """The steps whose fits count, in words; empty if all do."""
-    since, until = f"{result.since:,.0f}", f"{result.until:,.0f}"
-    if not np.isfinite(result.since):
-        return f" up to step {until}" if np.isfinite(result.until) else ""
-    return f" from step {since} " + (f"to {until}" if np.isfinite(result.until) else "on")
+        return f"{where}{one} errs least**: {errors}. More than noise: {chance}."
+    return f"{where}nobody errs less beyond noise**: least is {one} with {errors}, but {chance}."
 
 
 def _runs(one: Standing) -> str:

@@ -35,7 +35,6 @@ ONE, LEARNERS_ON_IT = "One learner's weights", "Every learner on one buffer"
 EVEN = 0.9999
 """effective sample size (share) from which weights count as uniform"""
 HEIGHT = 270
-"""of the figures over time, in pixels"""
 EXAMS = {
     "footprint": "exam/footprint",
     "its noise": "exam/footprint_noise",

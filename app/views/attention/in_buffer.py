@@ -27,15 +27,10 @@ from tom.envs import ROAD
 from tom.frames import Run, read_weighing
 from tom.record.reader import RunReader, at_or_before
 
-STAGE_HEIGHT = 560
-MOMENT_HEIGHT = 150
-"""of one dimension's curves"""
-SHOWN = 9
-"""number of robots of each kind"""
-GAP = 10
-"""minimum number of steps between two of them"""
+STAGE_HEIGHT, MOMENT_HEIGHT = 560, 150
+SHOWN, GAP = 9, 10
+"""robots of each kind, and the minimum number of steps between two of them"""
 LISTED = 300
-"""maximum number of transitions in the table"""
 UNREADABLE = "The rows of this buffer, or their weights, were not kept or cannot be read."
 OWN, NONE = "the run itself", "no other"
 PLANES = {

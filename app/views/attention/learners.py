@@ -52,7 +52,6 @@ SHOWN = {
         "counts more throughout",
     ),
 }
-"""how the table shows its columns"""
 
 
 def draw(scope: Scope) -> None:

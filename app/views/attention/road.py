@@ -20,11 +20,8 @@ from tom.envs import ROAD
 from tom.metrics import describe
 from tom.record.reader import RunReader, at_or_before
 
-HEIGHT = 620
-SMALL = 360
-"""height of a flat map beside others"""
-BESIDE = 3
-"""maximum number of runs beside the first one"""
+HEIGHT, SMALL_HEIGHT = 620, 360
+MOST_BESIDE = 3
 ERROR = "one-step error in full steps"
 NUMBERS = {
     "weight on the road": (
@@ -57,7 +54,7 @@ def draw(scope: Scope, run: RunReader, step: int) -> None:
     others = {one.run_id: one for one in shown if one.run_id != run.run_id}
     beside = address.choose_many(
         "Side by side with", list(others), "beside", names(shown).__getitem__,
-        max_selections=BESIDE, placeholder="no other run",
+        max_selections=MOST_BESIDE, placeholder="no other run",
     )  # fmt: skip
     picture = _fit(run, step)
     if picture is None:
@@ -71,7 +68,7 @@ def draw(scope: Scope, run: RunReader, step: int) -> None:
         widgets.stage(choice, HEIGHT)
         for column, each in zip(st.columns(len(runs)), runs, strict=True):
             with column, st.container(border=True):
-                _flat_map(each, picture.step, SMALL, called[each.run_id])
+                _flat_map(each, picture.step, SMALL_HEIGHT, called[each.run_id])
     else:
         left, right = st.columns([5, 4])
         with left:

@@ -23,7 +23,6 @@ from tom.record.reader import RunReader
 
 EPISODE, SIDE, FILM, RERUN = "One episode", "Side by side", "Film", "Rerun"
 MOST = 4
-"""runs side by side"""
 SIDE_HEIGHT, FILM_HEIGHT, RERUN_HEIGHT = 480, 700, 720
 LENGTHS = {"15 s": 15.0, "30 s": 30.0, "1 min": SECONDS, "2 min": 120.0}
 _STORIES: VersionedCache[dict] = VersionedCache()

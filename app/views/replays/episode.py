@@ -22,9 +22,7 @@ from tom.errors import UserError
 from tom.record.reader import RunReader, at_or_before
 
 VISER, RERUN = "3D scene", "Rerun"
-STAGE_HEIGHT = 520
-CURVE_HEIGHT = 150
-"""of one dimension's curves"""
+STAGE_HEIGHT, CURVE_HEIGHT = 520, 150
 TICK_S, LISTEN_S = 0.5, 4
 """how often the page asks the scene for its clock: while it plays, and otherwise"""
 PART = "replay"
