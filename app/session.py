@@ -35,13 +35,8 @@ def drawn() -> None:
     st.session_state[DRAWN] = True
 
 
-def may_act() -> bool:
-    """Whether pages may start, stop, weigh and label: see `read_only_reason`."""
-    return not read_only_reason()
-
-
 def read_only_reason() -> str:
-    """In words, why this browser's pages may not act; empty if they may.
+    """In words, why this browser's pages may not start, stop, weigh and label; empty if they may.
 
     They may if only this machine can open them and the browser gave the studio's key.
     """

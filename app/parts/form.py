@@ -101,8 +101,3 @@ def shown(words: Sequence[str]) -> str:
     """The command as one types it in a terminal, with the plug-ins of this studio."""
     given = [word for name in plugins.wanted_here() for word in (plugins.OPTION, name)]
     return shlex.join(["tom", *words, *given])
-
-
-def default_steps(env: str, learner: str, preset: str) -> int:
-    """The default number of env steps of a run."""
-    return resolve(env, learner, preset).steps

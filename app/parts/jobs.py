@@ -56,7 +56,7 @@ def _progress(name: str) -> None:
     found = re.search(r"(\d+) of (\d+)", last)
     share = min(int(found[1]) / max(int(found[2]), 1), 1.0) if found else 0.0
     left.progress(share, f"{text.markdown(name)}: {text.markdown(last)}")
-    if session.may_act() and right.button("Stop", key=f"stop {name}", width="stretch"):
+    if not session.read_only_reason() and right.button("Stop", key=f"stop {name}", width="stretch"):
         process = begun().pop(name).process  # what a study has finished is stored: it goes on there
         process.terminate()
         process.wait()

@@ -67,7 +67,7 @@ def button() -> None:
         here = (st.context.url or "").split("?")[0]
         page = here.rstrip("/").rpartition("/")[2]
         address = f"{here}?{query}"
-        if session.may_act() and st.button("Make a short link", key="short link"):
+        if not session.read_only_reason() and st.button("Make a short link", key="short link"):
             try:
                 code = save(session.links().store, page, query)
                 address = f"{here.rstrip('/').removesuffix(page)}v/{code}"

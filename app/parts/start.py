@@ -23,7 +23,7 @@ from tom.errors import UserError
 from tom.learners import SUBJECT
 from tom.record.reader import SMALL_COPY, RunReader
 from tom.record.store import Store
-from tom.training.presets import PRESETS, default_preset, learners
+from tom.training.presets import PRESETS, default_preset, learners, resolve
 
 EXAMPLES = Path(__file__).parents[2] / "runs"
 """the gallery, where the studio runs from a clone"""
@@ -113,7 +113,7 @@ def _form() -> None:
             "Seeds", "0", key="start seeds", help="one training each: 0, or 0-2, or 0, 3"
         )
         try:
-            usual = form.default_steps(env, learner, preset)
+            usual = resolve(env, learner, preset).steps
         except UserError as error:  # a plug-in's task that cannot be made
             st.error(str(error))
             return
@@ -212,7 +212,7 @@ def _card(run: RunReader, preset: str) -> None:
     The `preset` tells it from other runs of its learner.
     """
     status = run.status
-    if status.alive and session.may_act() and not run.own_loop:
+    if status.alive and not session.read_only_reason() and not run.own_loop:
         left, right = st.columns([4, 1], vertical_alignment="center", gap="small")
         left.html(head(run, preset))
         with right:

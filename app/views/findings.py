@@ -1,7 +1,6 @@
 """Findings: a card for each question, from the results of `tom reproduce`, and each whole."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
@@ -106,7 +105,7 @@ def _card(study: Study) -> None:
         with place:
             chart(figure, f"verdict {study.name}", f"{asked}: {found.axis}", caption=caption)
     elif study.figures and studies.is_picture(study.figures[0]):
-        place.image(str(study.figures[0]), alt=_alt(study, study.figures[0]))
+        place.image(str(study.figures[0]), alt=f"{study.figures[0].stem}: {asked or study.name}")
     _command(study, "The command")
     st.button(
         "The whole study", key=f"open {study.name}",
@@ -146,7 +145,7 @@ def _whole(study: Study) -> None:
     for figure in study.figures:
         with st.container(border=True):
             if studies.is_picture(figure):
-                st.image(str(figure), alt=_alt(study, figure))
+                st.image(str(figure), alt=f"{figure.stem}: {asked or study.name}")
             else:
                 st.warning(f"{text.markdown(figure.name)} cannot be read.")
     for path in study.tables:
@@ -161,10 +160,6 @@ def _whole(study: Study) -> None:
             if not folded:
                 st.markdown(title)
             _lines(study, path.stem, table)
-
-
-def _alt(study: Study, figure: Path) -> str:
-    return f"{figure.stem}: {study.question or study.name}"
 
 
 def _command(study: Study, title: str) -> None:

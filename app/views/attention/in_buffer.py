@@ -221,8 +221,17 @@ def _scenes(
     if row is not None:
         kind = address.choose_part(kinds, "scenes", "Scenes")
     if row is None or kind == kinds[0]:
-        left, right, words = _sides(rows, mask, selection)
+        left, right = buffer.heavy_and_light(rows, mask, SHOWN, GAP)
         titles = "heaviest", "lightest"
+        words = "the heaviest chosen on the left, the lightest chosen on the right"
+        # Rows of one end of the weights are held to the other.
+        whole = np.ones(len(rows), bool)
+        if RANK.name in selection.intervals:
+            right = buffer.heavy_and_light(rows, whole, SHOWN, GAP)[1]
+            words = "the heaviest chosen on the left, the buffer's lightest on the right"
+        elif selection.intervals.get(WEIGHT.name) == (None, 0):
+            left = buffer.heavy_and_light(rows, whole, SHOWN, GAP)[0]
+            words = "the buffer's heaviest on the left, weight zero on the right"
     else:
         near = buffer_map.nearest(run, source, rows.first + row) - rows.first
         left, right, titles = [row], near.tolist()[:SHOWN], ("the row", "its nearest")
@@ -247,19 +256,6 @@ def _scenes(
         "There is no robot to draw. Every line is a moment: the transition at 0, and the steps of "
         "its episode around."
     )
-
-
-def _sides(rows: Rows, mask: Mask, selection: Selection) -> tuple[list[int], list[int], str]:
-    """The rows on the left and right; rows of one end of the weights are held to the other."""
-    whole = np.ones(len(rows), bool)
-    heavy, light = buffer.heavy_and_light(rows, mask, SHOWN, GAP)
-    if RANK.name in selection.intervals:
-        light = buffer.heavy_and_light(rows, whole, SHOWN, GAP)[1]
-        return heavy, light, "the heaviest chosen on the left, the buffer's lightest on the right"
-    if selection.intervals.get(WEIGHT.name) == (None, 0):
-        heavy = buffer.heavy_and_light(rows, whole, SHOWN, GAP)[0]
-        return heavy, light, "the buffer's heaviest on the left, weight zero on the right"
-    return heavy, light, "the heaviest chosen on the left, the lightest chosen on the right"
 
 
 def _listed(run: RunReader, rows: Rows, source: Source, mask: Mask) -> None:

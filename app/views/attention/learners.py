@@ -1,7 +1,6 @@
 """Every learner's weights of one buffer, side by side, and how to weigh one."""
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -26,32 +25,24 @@ from tom.record.reader import RunReader
 
 END = "the end"
 FOREIGN = "policy.pt, policy.onnx or module:function"
+FOOTPRINT = st.column_config.TextColumn(
+    width=96,
+    help="distance of the weighted buffer to fresh episodes of the policy over that of the "
+    "unweighted buffer, ± its standard error over those episodes (if there are five or more): 1 is "
+    "no better than no weights, 0 like the policy itself",
+)
 COLUMNS = {
-    "ESS": "ess",
-    "weight 0": "zeros",
-    "random": "random_mean",
-    "newest": "last_two",
-    "trend": "spearman",
-}
-"""columns of the table, and their names in the report of a weighing"""
-_number = partial(st.column_config.NumberColumn, width=68)
-SHOWN = {
-    "footprint": st.column_config.TextColumn(
-        width=96,
-        help="distance of the weighted buffer to fresh episodes of the policy over that of the "
-        "unweighted buffer, ± its standard error over those episodes (if there are five or more): "
-        "1 is no better than no weights, 0 like the policy itself",
+    "ESS": ("ess", "percent", "effective sample (sum w)² / sum w², of the buffer"),
+    "weight 0": ("zeros", "percent", "share of transitions with weight zero"),
+    "random": ("random_mean", "%.3g", "mean weight of the random data"),
+    "newest": ("last_two", "%.3g", "mean weight of the newest tenth of the buffer"),
+    "trend": (
+        "spearman", "%.3g",
+        "rank correlation of the tenths of the ordered part with their order: 1 when newer counts "
+        "more throughout",
     ),
-    "ESS": _number(format="percent", help="effective sample (sum w)² / sum w², of the buffer"),
-    "weight 0": _number(format="percent", help="share of transitions with weight zero"),
-    "random": _number(format="%.3g", help="mean weight of the random data"),
-    "newest": _number(format="%.3g", help="mean weight of the newest tenth of the buffer"),
-    "trend": _number(
-        format="%.3g",
-        help="rank correlation of the tenths of the ordered part with their order: 1 when newer "
-        "counts more throughout",
-    ),
-}
+}  # fmt: skip
+"""columns of the table: the name in the report of a weighing, format, and meaning"""
 
 
 def draw(scope: Scope) -> None:
@@ -123,9 +114,13 @@ def _weighed(weighing: Weighing, rows: int) -> None:
         chart(figure, "probe", "weight profiles of several learners on the same buffer")
     with st.container(border=True):
         st.markdown("**What the weights come to**: medians over seeds")
+        shown = {
+            name: st.column_config.NumberColumn(width=68, format=number, help=words)
+            for name, (_, number, words) in COLUMNS.items()
+        }
         st.dataframe(
-            _table(weighing.medians, footprints),
-            hide_index=True, width="content", height="content", column_config=SHOWN,
+            _table(weighing.medians, footprints), hide_index=True, width="content",
+            height="content", column_config={"footprint": FOOTPRINT, **shown},
         )  # fmt: skip
         st.caption(f"TOM with {text.markdown(weighing.settings)}. Weights have mean 1.")
 
@@ -171,7 +166,7 @@ def _table(
         {
             "learner": learner_label(learner),
             **footprint(learner),
-            **{column: found.get(name, np.nan) for column, name in COLUMNS.items()},
+            **{column: found.get(name, np.nan) for column, (name, *_) in COLUMNS.items()},
         }
         for learner, found in medians.items()
     )

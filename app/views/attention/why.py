@@ -63,7 +63,14 @@ def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None
         if row is None:
             return
         found = reasons.why_of(run, rows, source)
-        _head(rows, row)
+        numbers = {
+            "weight": number(float(rows.weight[row]), 3),
+            "heavier than": percent(float((rows.weight < rows.weight[row]).mean())),
+            "its step in its episode": f"{rows.place[row] + 1:,}",
+            "return of that episode": score(float(rows.episode_return[row])),
+            "ends the episode": "yes" if rows.rows.numpy().ended()[row] else "no",
+        }
+        widgets.metrics(numbers, {"heavier than": "of the buffer"})
         if isinstance(found, str):
             st.info(f"No sum: {text.markdown(found)}.", icon=":material/functions:")
             _offer(run, rows)
@@ -113,17 +120,6 @@ def _pick(rows: Rows) -> None:
         help="its row in the run's record, counted from 0: one less than its step",
     )  # fmt: skip
     address.keep(KEY, [] if chosen is None else [str(chosen)])
-
-
-def _head(rows: Rows, row: int) -> None:
-    numbers = {
-        "weight": number(float(rows.weight[row]), 3),
-        "heavier than": percent(float((rows.weight < rows.weight[row]).mean())),
-        "its step in its episode": f"{rows.place[row] + 1:,}",
-        "return of that episode": score(float(rows.episode_return[row])),
-        "ends the episode": "yes" if rows.rows.numpy().ended()[row] else "no",
-    }
-    widgets.metrics(numbers, {"heavier than": "of the buffer"})
 
 
 def _neighbours(run: RunReader, rows: Rows, found: Why, row: int) -> None:

@@ -114,8 +114,21 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
                     follow=Follow(cursor=on_steps), linked="curves",
                     caption=caption(metric, env, grouped, how, scope),
                 )  # fmt: skip
-    if first is not None:
-        _below(scope, metrics[0], how, *first)
+    if first is None:
+        return
+    (curves, grouped), metric = first, metrics[0]
+    files: widgets.Files = {"Single runs": (lambda: tables.runs(curves, how.axes.x), "runs")}
+    if grouped:
+        st.caption(remarks(grouped, curves, how, scope))
+        table = tables.summary(grouped)
+        if metric not in measure.METRICS.values():
+            # The highest value of another metric, such as an error, may be the worst.
+            table = table.rename(columns=lambda name: name.replace("best", "highest", 1))
+        st.markdown(f"**{text.markdown(metric)}** at the step that all runs of a group reach")
+        st.dataframe(in_words(table), hide_index=True, column_config=columns())
+        lines = (lambda: tables.bands(grouped, how.axes.x), "lines")
+        files = {"Lines and bands": lines, **files, "Table": (lambda: table, "table")}
+    widgets.downloads(files, metric)
 
 
 def _figure(
@@ -178,24 +191,6 @@ def _clicked(curves: Sequence[Curve], point: Point) -> None:
         st.session_state["run"] = [near[int(np.argmin(away))].run_id]
     timeline.go_to(int(point.x))
     st.session_state[CLICKED] = True
-
-
-def _below(
-    scope: Scope, metric: str, how: Measure, curves: Sequence[Curve], grouped: Sequence[Group]
-) -> None:
-    """What the lines are, the table of the first metric, and all of it as CSV."""
-    files: widgets.Files = {"Single runs": (lambda: tables.runs(curves, how.axes.x), "runs")}
-    if grouped:
-        st.caption(remarks(grouped, curves, how, scope))
-        table = tables.summary(grouped)
-        if metric not in measure.METRICS.values():
-            # The highest value of another metric, such as an error, may be the worst.
-            table = table.rename(columns=lambda name: name.replace("best", "highest", 1))
-        st.markdown(f"**{text.markdown(metric)}** at the step that all runs of a group reach")
-        st.dataframe(in_words(table), hide_index=True, column_config=columns())
-        lines = (lambda: tables.bands(grouped, how.axes.x), "lines")
-        files = {"Lines and bands": lines, **files, "Table": (lambda: table, "table")}
-    widgets.downloads(files, metric)
 
 
 def remarks(grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, scope: Scope) -> str:

@@ -123,19 +123,19 @@ def _remarks(
     st.caption(" ".join(words))
 
 
-def profile(look: Look, scores: NDArray, at: NDArray) -> Profile:
-    """A group's share of runs above each threshold; its band is the same beside any other group."""
-    share = statistics.performance_profile([scores], at)
-    low, high = statistics.profile_band([scores], at, resamples=300)
-    return Profile(look, share, low, high)
-
-
 def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str, keep: str) -> None:
     everything = np.concatenate(scores)
     margin = 0.05 * (np.ptp(everything) or 1.0)
     ends = everything.min() - margin, everything.max() + margin
     at = np.unique(np.append(everything, ends))  # shares change at scores alone
-    of_groups = [profile(look, values, at) for look, values in zip(looks, scores, strict=True)]
+    of_groups = [  # a band is the same beside any other group
+        Profile(
+            look,
+            statistics.performance_profile([values], at),
+            *statistics.profile_band([values], at, resamples=300),
+        )
+        for look, values in zip(looks, scores, strict=True)
+    ]
     with st.container(border=True):
         title = "**Performance profile**: share of runs above a score, 95 % bootstrap band"
         st.markdown(text.unbroken(title))
