@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 import streamlit as st
@@ -40,13 +39,8 @@ CARDS = (
 """the three cards: question, page behind, what is drawn, and the level without weights"""
 
 
-class Chart(NamedTuple):
-    """The chart of a card, and the caption of its saved figure."""
-
-    figure: Drawn
-    caption: str
-
-
+Chart = tuple[Drawn, str]
+"""of a card, and the caption of its saved figure"""
 Card = tuple[Answer, Chart | None]
 _MADE: VersionedCache[list[Card]] = VersionedCache()
 
@@ -117,10 +111,9 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
             if drawn is not None:
                 st.caption(what)
                 label = f"{what}, against env steps"
-                chart(
-                    drawn.figure, f"answer {question}", label, follow=Follow(cursor=True),
-                    caption=drawn.caption,
-                )  # fmt: skip
+                figure, caption = drawn
+                follow = Follow(cursor=True)
+                chart(figure, f"answer {question}", label, follow=follow, caption=caption)
             st.markdown(glossary.linked(answered.sentence))
             if answered.more:
                 st.caption(glossary.linked(answered.more))
@@ -195,7 +188,7 @@ def _chart(scope: Scope, what: str, level: float | None, groups: Sequence[Group]
         f"{what.capitalize()}, against env steps. Line: mean over seeds, band: 95 % bootstrap "
         f"interval, thin lines: single runs. {named}."
     )
-    return Chart(Drawn.of(figure), caption)
+    return Drawn.of(figure), caption
 
 
 def _side(title: str, loops: Sequence[RunReader]) -> Side:

@@ -230,12 +230,11 @@ def _on_one_buffer(run: RunReader, others: Sequence[RunReader]) -> None:
 def in_turn(run: RunReader, others: Sequence[RunReader]) -> list[RunReader]:
     """The run itself, then the first run of each group, then their second runs, and so on."""
     seen, names = Counter[str](), group_names(others)
-    turns = []
+    turns = {}
     for other in others:
-        turns.append((other.run_id != run.run_id, seen[names[other.run_id]]))
+        turns[other.run_id] = other.run_id != run.run_id, seen[names[other.run_id]]
         seen[names[other.run_id]] += 1
-    order = sorted(range(len(others)), key=lambda i: turns[i])
-    return [others[i] for i in order]
+    return sorted(others, key=lambda other: turns[other.run_id])
 
 
 def _recorded(runs: Sequence[RunReader]) -> None:
