@@ -285,11 +285,12 @@ def focus_values(runs: Sequence[RunReader], policy: str, other: str) -> dict[str
 
 def of_like_length(runs: Sequence[RunReader]) -> tuple[list[RunReader], list[RunReader]]:
     """The runs of about the usual length, and the others."""
-    if not runs:
-        return [], []
-    usual = float(np.median([run.status.env_step for run in runs]))
-    like = {run.run_id: usual / LENGTHS <= run.status.env_step <= usual * LENGTHS for run in runs}
-    return [r for r in runs if like[r.run_id]], [r for r in runs if not like[r.run_id]]
+    usual = float(np.median([run.status.env_step for run in runs] or [0]))
+
+    def is_like(run: RunReader) -> bool:
+        return usual / LENGTHS <= run.status.env_step <= usual * LENGTHS
+
+    return [run for run in runs if is_like(run)], [run for run in runs if not is_like(run)]
 
 
 def _left_out(runs: Sequence[RunReader], left_out: Mapping[str, Sequence[RunReader]]) -> None:
