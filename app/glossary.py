@@ -4,8 +4,6 @@ import html
 import re
 from pathlib import Path
 
-from app.text import unbroken
-
 FILE = Path(__file__).parents[1] / "docs" / "glossary.md"
 PATH = "glossary"
 WORDS = {
@@ -20,7 +18,6 @@ _WORD = re.compile(rf"(?<![\w/\[])({'|'.join(WORDS)})(?![\w/\]])", re.IGNORECASE
 
 def linked(markdown: str) -> str:
     """The Markdown text with a link where each of `WORDS` stands first."""
-    markdown = unbroken(markdown)
     if not FILE.is_file():
         return markdown
     seen: set[str] = set()

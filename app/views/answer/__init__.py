@@ -114,9 +114,9 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
                 figure, caption = drawn
                 follow = Follow(cursor=True)
                 chart(figure, f"answer {question}", label, follow=follow, caption=caption)
-            st.markdown(glossary.linked(answered.sentence))
+            st.markdown(glossary.linked(text.unbroken(answered.sentence)))
             if answered.more:
-                st.caption(glossary.linked(answered.more))
+                st.caption(glossary.linked(text.unbroken(answered.more)))
             widgets.link_to(link, f"See it on {link.capitalize()}")
 
 

@@ -112,7 +112,7 @@ def _exams(runs: Sequence[RunReader]) -> None:
     _left_out(runs, {NO_EXAM: without, f"ended before step {result.until:,.0f}": early})
     if not exams:
         return
-    st.markdown(glossary.linked(verdict(result)), help=WHAT)
+    st.markdown(glossary.linked(text.unbroken(verdict(result))), help=WHAT)
     st.dataframe(table(result), hide_index=True, column_config=COLUMNS)
     with st.container(border=True):
         st.markdown(
