@@ -4,8 +4,7 @@ import plotly.graph_objects as go
 
 from app.figures.base import steps_in_words
 from app.figures.curves import run_curves
-from app.figures.probe import probe_profiles
-from app.figures.weights import weight_map, weight_profile
+from app.figures.weights import probe_profiles, weight_map, weight_profile
 from tom.analysis.curves import Curve, curve_points
 from tom.frames import Run, Weighing
 

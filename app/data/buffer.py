@@ -45,11 +45,6 @@ class Rows:
         return len(self.weight)
 
     @property
-    def age(self) -> Floats:
-        """Position (N,) in the buffer in %, 0 the oldest."""
-        return (np.arange(len(self)) + 0.5) * 100 / max(len(self), 1)
-
-    @property
     def policies_known(self) -> bool:
         """Whether the policy of each row is known; else each has a version of its own."""
         return len(np.unique(self.version)) < max(len(self), 2)
@@ -59,33 +54,28 @@ def heavy_and_light(
     rows: Rows, mask: NDArray[np.bool_], count: int, gap: int
 ) -> tuple[list[int], list[int]]:
     """The heaviest and the lightest rows of a region, at least `gap` steps apart."""
-
-    def first_of(order: NDArray[np.int64]) -> list[int]:
-        picked: list[int] = []
-        for row in order.tolist():
+    # Shuffled: among equal weights, of which there may be many, no part of the buffer is preferred.
+    index = np.random.default_rng(0).permutation(np.flatnonzero(mask))
+    by_weight = index[np.argsort(rows.weight[index], kind="stable")].tolist()
+    heavy: list[int] = []
+    light: list[int] = []
+    for picked, order in ((heavy, reversed(by_weight)), (light, by_weight)):
+        for row in order:
             if len(picked) == count:
                 break
             if all(abs(row - other) >= gap for other in picked):
                 picked.append(row)
-        return picked
-
-    # Shuffled: among equal weights, of which there may be many, no part of the buffer is preferred.
-    index = np.random.default_rng(0).permutation(np.flatnonzero(mask))
-    by_weight = index[np.argsort(rows.weight[index], kind="stable")]
-    return first_of(by_weight[::-1]), first_of(by_weight)
+    return heavy, light
 
 
 def windows(ended: NDArray[np.bool_], rows: Sequence[int]) -> NDArray[np.int64]:
     """The row numbers (R, 2 WINDOW + 1) around each of R rows, clamped to its episode."""
-    last = np.flatnonzero(ended)
-    numbers = []
-    for row in rows:
-        before = last[last < row]
-        after = last[last >= row]
-        low = int(before[-1]) + 1 if len(before) else 0
-        high = int(after[0]) if len(after) else len(ended) - 1
-        numbers.append(np.clip(np.arange(row - WINDOW, row + WINDOW + 1), low, high))
-    return np.array(numbers, np.int64).reshape(len(rows), 2 * WINDOW + 1)
+    last = np.append(np.flatnonzero(ended), len(ended) - 1)
+    center = np.array(rows, np.int64)
+    episode = np.searchsorted(last, center)
+    low, high = np.append(-1, last)[episode] + 1, last[episode]
+    around = center[:, None] + np.arange(-WINDOW, WINDOW + 1)
+    return np.clip(around, low[:, None], high[:, None])
 
 
 def poses(
@@ -214,27 +204,22 @@ def stored_policy(run: RunReader, step: int | None = None) -> StoredPolicy | Non
     return found if isinstance(found, StoredPolicy) else None
 
 
+_ERRORS_ON: VersionedCache[Floats | None] = VersionedCache()
+
+
 def errors_on(run: RunReader, other: RunReader) -> Floats | None:
     """Error (K,) of `other`'s stored model on rows spread evenly over `run`'s buffer.
 
-    None if `other` has no stored model.
+    None if either cannot be read.
     """
-    if stored_step(other) is None:
-        return None
 
     def read() -> Floats | None:
         whole = recorded(run).rows
-        if not len(whole):
-            return None
-        try:
-            kept = stored_model(other)
-        except UserError:
-            return None
-        part = whole[spread(len(whole), SHARED_ROWS)]
-        return step_errors(kept.predictor, part).astype(np.float64)
+        with suppress(UserError):
+            if len(whole):
+                part = whole[spread(len(whole), SHARED_ROWS)]
+                return step_errors(stored_model(other).predictor, part).astype(np.float64)
+        return None
 
     version = run.version("buffer"), other.version("model")
     return _ERRORS_ON.get((run.path, other.path), read, version)
-
-
-_ERRORS_ON: VersionedCache[Floats | None] = VersionedCache()

@@ -8,21 +8,21 @@ from tom.analysis.settings import telling_presets, variants
 from tom.record.reader import RunReader
 
 
-def told_apart(runs: Sequence[RunReader]) -> dict[str, str]:
+def told_apart(runs: Sequence[RunReader], *, by_user: bool = False) -> dict[str, str]:
     """`TOM s0` for each run id, plus a distinction from runs of the same name.
 
-    With runs of several tasks, their task comes first: `Hopper TOM s0`.
+    With runs of several tasks, their task comes first: `Hopper TOM s0`. With `by_user` the user's
+    name of a run replaces all that.
 
     The distinction is the preset if the learner has several, then the settings in which a run
     differs from the others and from its preset, then the id.
     """
-    return _apart(runs, _short(runs))
-
-
-def short_names(runs: Sequence[RunReader]) -> dict[str, str]:
-    """As `told_apart`, but the user's name of a run that has one."""
-    short = zip(runs, _short(runs), strict=True)
-    return _apart(runs, [run.labels.name or name for run, name in short])
+    several = len({run.env for run in runs}) > 1
+    called = [
+        f"{task(run.env)} " * several + f"{learner} s{run.seed}"
+        for run, learner in zip(runs, _learners(runs), strict=True)
+    ]
+    return _apart(runs, called, by_user=by_user)
 
 
 def names(runs: Sequence[RunReader]) -> dict[str, str]:
@@ -31,10 +31,10 @@ def names(runs: Sequence[RunReader]) -> dict[str, str]:
     Runs of the same name are distinguished as in `told_apart`.
     """
     called = [
-        run.labels.name or f"{task(run.env)} · {_learner(run, preset)} · seed {run.seed}"
-        for run, preset in zip(runs, telling_presets(runs), strict=True)
+        f"{task(run.env)} · {learner} · seed {run.seed}"
+        for run, learner in zip(runs, _learners(runs), strict=True)
     ]
-    return _apart(runs, called)
+    return _apart(runs, called, by_user=True)
 
 
 def task(env: str) -> str:
@@ -44,27 +44,22 @@ def task(env: str) -> str:
     return "HalfCheetah" if env == "halfcheetah" else env.replace("-", " ").capitalize()
 
 
-def _short(runs: Sequence[RunReader]) -> list[str]:
-    several = len({run.env for run in runs}) > 1
+def _learners(runs: Sequence[RunReader]) -> list[str]:
     return [
-        f"{task(run.env)} {_learner(run, preset)} s{run.seed}"
-        if several
-        else f"{_learner(run, preset)} s{run.seed}"
+        f"{learner_label(run.learner)} {preset}".strip()
         for run, preset in zip(runs, telling_presets(runs), strict=True)
     ]
 
 
-def _learner(run: RunReader, preset: str) -> str:
-    return " ".join(filter(None, (learner_label(run.learner), preset)))
-
-
-def _apart(runs: Sequence[RunReader], short: Sequence[str]) -> dict[str, str]:
+def _apart(runs: Sequence[RunReader], called: list[str], *, by_user: bool) -> dict[str, str]:
     """Each run's name by its id; where several share one, with their settings, else their ids."""
-    shared = Counter(short)
-    variant = variants([run for run, name in zip(runs, short, strict=True) if shared[name] > 1])
+    if by_user:
+        called = [run.labels.name or name for run, name in zip(runs, called, strict=True)]
+    shared = Counter(called)
+    variant = variants([run for run, name in zip(runs, called, strict=True) if shared[name] > 1])
     longer = [
         ", ".join(filter(None, (name, variant.get(run.run_id))))
-        for run, name in zip(runs, short, strict=True)
+        for run, name in zip(runs, called, strict=True)
     ]
     still = Counter(longer)
     return {

@@ -21,7 +21,6 @@ MEASURED = {
     "error": "exam/error",
     "rollout_error": "exam/rollout_error",
     "footprint": "exam/footprint",
-    "uniform": "exam/footprint_uniform",
     "noise": "exam/footprint_noise",
 }
 
@@ -41,7 +40,6 @@ class Exams:
     error: Floats
     rollout_error: Floats
     footprint: Floats
-    uniform: Floats
     noise: Floats
     returns: Floats
 
@@ -66,22 +64,18 @@ class Exams:
 
 
 def exams_of(run_id: str, learner: str, seed: int, group: str, frame: pd.DataFrame) -> Exams:
-    """The exams in a run's metrics: `env_step` and every metric."""
-    measured = frame.reindex(columns=list(MEASURED.values())).to_numpy(np.float64).T  # (5, rows)
+    """The exams in a run's metrics: `env_step` and every metric.
+
+    The return is that of the first evaluation after a fit: at the fit's own step it is still that
+    of the previous policy.
+    """
+    measured = frame.reindex(columns=list(MEASURED.values())).to_numpy(np.float64).T  # (4, rows)
     sat = np.isfinite(measured).any(0)
     step = np.asarray(frame["env_step"], np.int64)[sat]
-    kept = dict(zip(MEASURED, measured[:, sat], strict=True))
-    return Exams(run_id, learner, seed, group, step, **kept, returns=next_return(frame, step))
-
-
-def next_return(frame: pd.DataFrame, step: NDArray[np.int64]) -> Floats:
-    """The return of the first evaluation after each step (F,); NaN if there is none.
-
-    At a fit's own step the evaluation is still that of the previous policy.
-    """
     at, value = curve_points(frame, "eval/return")
-    following = np.searchsorted(at, step, side="right")
-    return np.append(value, np.nan)[following]
+    returns = np.append(value, np.nan)[np.searchsorted(at, step, side="right")]
+    kept = dict(zip(MEASURED, measured[:, sat], strict=True))
+    return Exams(run_id, learner, seed, group, step, **kept, returns=returns)
 
 
 @dataclass(frozen=True)
@@ -89,7 +83,6 @@ class Standing:
     """The result of a group's exams: medians over each run's fits, (n,) for its runs."""
 
     name: str
-    learner: str
     seeds: int
     fits: int
     error: Floats
@@ -147,7 +140,10 @@ def ranking(exams: Sequence[Exams], since: float = -np.inf) -> Ranking:
     lasts = [one.last for one in exams if np.isfinite(one.error).any()]
     until = min(reach.values() if len(reach) > 1 else lasts, default=np.inf)
     since = since if since <= until else -np.inf
-    standings = {name: standing(name, of, since, until) for name, of in groups.items()}
+    standings = {}
+    for name, of in groups.items():
+        whole = [run for run in of if np.isinf(until) or run.last >= until]
+        standings[name] = standing(name, [run.between(since, until) for run in whole])
     ranked = [standings[name] for name in reach] if len(reach) > 1 else []
     ranked.sort(key=lambda one: one.typical)
     return Ranking(tuple(standings.values()), since, until, tuple(ranked))
@@ -162,19 +158,15 @@ def reach_of(runs: Sequence[Exams]) -> float:
     return sorted(last.values())[-RANKED] if len(last) >= RANKED else -np.inf
 
 
-def standing(name: str, runs: Sequence[Exams], since: float, until: float) -> Standing:
-    """A group's standing in those steps, from runs that reach `until` (from all if infinite)."""
-    whole = [run for run in runs if np.isinf(until) or run.last >= until]
-    cut = [run.between(since, until) for run in whole]
+def standing(group: str, runs: Sequence[Exams]) -> Standing:
     return Standing(
-        name,
-        runs[0].learner,
-        len({run.seed for run in cut}),
-        sum(len(run.step) for run in cut),
-        medians([run.error for run in cut]),
-        medians([run.rollout_error for run in cut]),
-        medians([run.footprint[run.telling] for run in cut]),
-        sum(int(run.telling.sum()) for run in cut),
+        group,
+        len({run.seed for run in runs}),
+        sum(len(run.step) for run in runs),
+        medians([run.error for run in runs]),
+        medians([run.rollout_error for run in runs]),
+        medians([run.footprint[run.telling] for run in runs]),
+        sum(int(run.telling.sum()) for run in runs),
     )
 
 

@@ -79,8 +79,8 @@ class Replay:
 def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
     """The episode `index` of the evaluation at `step`; None if there is none.
 
-    The ghost restarts from the real state every `horizon` steps; 0 means no ghost. Raises UserError
-    if the run's folder does not say what its task is.
+    The ghost restarts from the real state every `horizon` steps. Raises UserError if the run's
+    folder does not say what its task is.
     """
     episodes = reader(run).episodes(step)
     if not 0 <= index < len(episodes) or not episodes[index].length:
@@ -96,7 +96,7 @@ def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
         return None
     known = None if run.env == ROAD else task_of(run)
     dt = ROAD_DT if known is None else seconds(run)
-    kept = _model(run) if horizon else "none was asked for"
+    kept = _model(run)
     imagined = None if isinstance(kept, str) else imagine(kept.predictor, episode, horizon)
     ghost = None if imagined is None or known is not None else imagined.obs
     # The joints, where the observations hold them.

@@ -7,6 +7,7 @@ named by its key (`app.data.buffer_map`), so that it holds on any other plane as
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -46,19 +47,11 @@ class Selection:
         intervals = {}
         for words in where:
             name, _, span = words.rpartition(" ")
-            low, dots, high = span.partition("..")
-            ends = _end(low), _end(high)
-            if name and dots and not any(end is not None and math.isnan(end) for end in ends):
-                intervals[name] = ends
+            with suppress(ValueError):
+                low, high = (float(end) if end else None for end in span.split(".."))
+                if name and not any(end is not None and math.isnan(end) for end in (low, high)):
+                    intervals[name] = low, high
         return cls(intervals, _outline("".join(outline[-1:])))
-
-
-def _end(words: str) -> float | None:
-    """An end of an interval; None if it is open, NaN if it is malformed."""
-    try:
-        return float(words) if words else None
-    except ValueError:
-        return math.nan
 
 
 def _outline(words: str) -> Outline | None:

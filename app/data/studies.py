@@ -17,8 +17,6 @@ from tom.reports.report import WORDS
 FOLDER = Path("reports")
 """the folder of results of `tom reproduce` if it is started in the studio's folder"""
 REPORT = "report.html"
-LARGEST = 1_000_000
-"""maximum bytes that are read of a report"""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 QUESTIONS = {
     "road": "Does TOM drive where offline MBPO does not, because the road counts more?",
@@ -76,8 +74,8 @@ def listing(*places: Path) -> list[Study]:
     first: dict[str, Path] = {}
     for folder in (folder for place in places for folder in _files(place, Path.is_dir)):
         first.setdefault(folder.name, folder)
-    order = list(QUESTIONS)
-    names = sorted(first, key=lambda n: (order.index(n) if n in order else len(order), n))
+    order = {name: i for i, name in enumerate(QUESTIONS)}
+    names = sorted(first, key=lambda name: (order.get(name, len(order)), name))
     studies = [_read(first[name]) for name in names if NAME.fullmatch(name)]
     return [study for study in studies if study.figures or study.tables or study.report]
 
@@ -114,29 +112,18 @@ def _files(folder: Path, kind: Callable[[Path], bool]) -> list[Path]:
 
 
 def _read(folder: Path) -> Study:
+    files = _files(folder, Path.is_file)
     try:
-        size = {path: path.stat().st_size for path in _files(folder, Path.is_file)}
-    except OSError:  # being rewritten
-        size = {}
-    tables = [path for path in size if path.suffix == ".csv" and size[path]]
-    words = folder / WORDS
-    return Study(
-        folder.name,
-        tuple(path for path in size if path.suffix == ".png"),
-        tuple(sorted(tables, key=lambda path: (path.stem != "summary", size[path]))),
-        folder / REPORT if folder / REPORT in size else None,
-        **_words(words) if 0 < size.get(words, 0) < LARGEST else {},
-    )
-
-
-def _words(path: Path) -> dict[str, Any]:
-    """Claim, verdict and origin of a report; empty if it cannot be read."""
-    try:
-        content = read_json(path)
-        return {
+        content = read_json(folder / WORDS) if folder / WORDS in files else {}
+        words = {
             "claim": str(content["claim"]),
             "findings": tuple(map(str, content["found"])),
             "origin": {str(name): str(value) for name, value in content["origin"].items()},
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError, UserError):
-        return {}
+        words = dict[str, Any]()
+    size = {path: path.stat().st_size for path in files if path.suffix == ".csv"}
+    tables = sorted(filter(size.get, size), key=lambda path: (path.stem != "summary", size[path]))
+    figures = tuple(path for path in files if path.suffix == ".png")
+    report = folder / REPORT if folder / REPORT in files else None
+    return Study(folder.name, figures, tuple(tables), report, **words)

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -44,40 +44,37 @@ def summary(grouped: Sequence[Group]) -> pd.DataFrame:
 
 def bands(grouped: Sequence[Group], x: str = "env_step") -> pd.DataFrame:
     """One row per group and step: the data of the figures' lines and bands before smoothing."""
-    return _joined(
-        {
-            "env": group.env,
-            "learner": group.learner,
-            "preset": group.preset,
-            "settings": group.variant,
-            x: group.step,
-            group.statistic: group.mean,
-            "low": group.low,
-            "high": group.high,
-            "runs": group.count,
-        }
+    frames = [
+        pd.DataFrame(
+            {
+                "env": group.env,
+                "learner": group.learner,
+                "preset": group.preset,
+                "settings": group.variant,
+                x: group.step,
+                group.statistic: group.mean,
+                "low": group.low,
+                "high": group.high,
+                "runs": group.count,
+            }
+        )
         for group in grouped
-    )
+    ]
+    return pd.concat(frames)
 
 
 def runs(curves: Sequence[Curve], x: str = "env_step") -> pd.DataFrame:
     """One row per run and step."""
-    return _joined(
-        {
+    frames = []
+    for curve in curves:
+        whose = {
             "run": curve.run_id,
             "env": curve.env,
             "learner": curve.learner,
             "seed": curve.seed,
-            x: curve.step,
-            "value": curve.value,
         }
-        for curve in curves
-    )
-
-
-def _joined(parts: Iterable[Mapping[str, object]]) -> pd.DataFrame:
-    frames = [pd.DataFrame(part) for part in parts]
-    return pd.concat(frames) if frames else pd.DataFrame()
+        frames.append(pd.DataFrame({**whose, x: curve.step, "value": curve.value}))
+    return pd.concat(frames)
 
 
 def default_level(scores: NDArray[np.float64]) -> float:
@@ -102,17 +99,15 @@ def reached(
     rows = []
     for name, group in zip(names, grouped, strict=True):
         steps = steps_to(group.curves, level, until)
-        reaching = np.isfinite(steps)
-        median = float(np.median(steps))
         rows.append(
             {
                 "group": name,
-                "reached": f"{int(reaching.sum())} of {group.n}",
-                "median step": median if np.isfinite(median) else np.nan,
-                "first": float(steps.min()) if reaching.any() else np.nan,
+                "reached": f"{np.isfinite(steps).sum()} of {group.n}",
+                "median step": float(np.median(steps)),
+                "first": float(steps.min(initial=np.inf)),
             }
         )
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows).replace(np.inf, np.nan)
 
 
 def settings(runs: Sequence[RunReader], names: Sequence[str]) -> pd.DataFrame:

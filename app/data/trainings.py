@@ -67,11 +67,9 @@ def stop(store: Store, run_id: str) -> None:
     elsewhere = UserError(
         f"run '{run_id}' trains on another machine or for another user: stop it there"
     )
-    if sys.platform != "linux":
-        raise elsewhere
     try:
         process = os.pidfd_open(run.status.pid)
-    except OSError:
+    except (OSError, AttributeError):  # there are none but in Linux
         raise elsewhere from None
     try:
         if not lock.opened_by(run.status.pid, run.path):

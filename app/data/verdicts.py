@@ -1,71 +1,102 @@
 """The answer of a study's tables to its question: a word by a stated rule, and what is against it.
 
+One question is answered by two studies together: `every_ways`.
+
 The rule: a group differs if its 95 % interval leaves out the level of no difference; without an
 interval, as where a task has one recording, if p is below .05 after correction (Bonferroni's, or
 the table's own). A study that has an acceptance is judged by how many of its numbers are met.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite, nan
+from math import exp, isfinite, log, nan
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
-from app.data import studies
+from app.data import called, studies
 from app.data.studies import Study
+from app.theme import learner_colour
+from tom.analysis.statistics import COVERAGE, Interval
 from tom.learners import LEARNERS
 from tom.readable import percent
-from tom.studies.frozen import MENDED, PRINTED, WAYS
-from tom.studies.moments import sign_test, telling
+from tom.studies.frozen import ERROR, MENDED, MODELS, PRINTED, UNIFORM, WAYS
+from tom.studies.moments import over_recordings, ratios, sign_test, telling, trial_of
+from tom.studies.study import Row
 
+EVERY_WAY = "Does weighing nearer to the policy make the paper's model better there?"
+PAPERS = list(MODELS)[-1]
+"""the paper's model"""
 BY_LABEL = {entry.label: name for name, entry in LEARNERS.items()}
 LABELS = {name: way.label for name, way in WAYS.items() if way.label}
 SIGNIFICANT = 0.05
 NAMED = 3
 """numbers of an acceptance that are named"""
-Tables = Mapping[str, Sequence[dict[str, Any]]]
+Tables = Mapping[str, Sequence[Row]]
 """the rows of a study's tables by the files' names"""
+Outcome = tuple[Row, float]
+"""a row of a moment, with the number that counts"""
 
 
-@dataclass(frozen=True)
-class Point:
+class Point(NamedTuple):
     """A result with its 95 % interval (NaN without), in a line of its own or of several."""
 
     line: str
     series: str
-    learner: str
+    colour: str
     symbol: str  # Plotly's: full, open for TOM as printed, a diamond for half uniform weights
     value: float
     low: float
     high: float
 
 
+class Placed(NamedTuple):
+    """A way of weighing in one task; both numbers are 1 for uniform weights, less is better."""
+
+    way: str
+    distance: Interval
+    error: Interval
+
+
+class Panel(NamedTuple):
+    """One task: its ways, uniform weights first, and the number of recordings and moments."""
+
+    env: str
+    ways: Sequence[Placed]
+    recordings: int
+    moments: int
+
+
 @dataclass(frozen=True)
 class Verdict:
-    """The answer to a study's question, and the figure that shows it."""
+    """The answer to a question, and what its figure shows: points, panels, or nothing."""
 
     word: str
     sentence: str
     against: str
     """what speaks against it; empty without anything"""
-    axis: str
-    level: float
+    axis: str = ""
+    level: float = 1
     """the value on the axis that means no difference"""
-    points: Sequence[Point]
-    """none if the study's own picture shows it"""
+    points: Sequence[Point] = ()
+    panels: Sequence[Panel] = ()
+    caption: str = ""
+    """of panels: what is drawn, n, and what is left out"""
+
+
+def _tables(study: Study) -> Tables:
+    read = {path.stem: studies.table(path) for path in study.tables}
+    return {
+        name: [dict(row) for row in table.to_dict("records")]
+        for name, table in read.items()
+        if table is not None
+    }
 
 
 def verdict(study: Study) -> Verdict | None:
     """The verdict on a study's question; None without a rule for it, or without its tables."""
     rule = RULES.get(study.verb)
-    read = {path.stem: studies.table(path) for path in study.tables}
-    tables = {
-        name: [dict(row) for row in table.to_dict("records")]
-        for name, table in read.items()
-        if table is not None
-    }
     try:
-        return None if rule is None else rule(tables)
+        return None if rule is None else rule(_tables(study))
     except (LookupError, ValueError, StopIteration):  # tables of another version
         return None
 
@@ -80,7 +111,6 @@ def _footprint(tables: Tables) -> Verdict:
             if one["way"] == row["way"]
         )
         ours.append({**row, "p": signs.p, "better on": signs.above, "recordings": signs.n})
-    word = _judged(ours)
     distances = [
         f"{LABELS[row['way']]} {percent(row['distance'], 0)} "
         f"({_sure(row, lambda end: percent(end, 0))})"
@@ -91,24 +121,18 @@ def _footprint(tables: Tables) -> Verdict:
         f"{', '.join(distances)}. Recorded trainings at {ours[0]['n']:.0f} moments."
     )
     rivals = {"recency": "Recency", "policy-distance": "The policies' distance"}
-    said = []
-    for pair in tables["head-to-head"]:
-        both = {pair["way"], pair["against"]}
-        for rival, called in rivals.items():
-            if both == {MENDED, rival}:
-                told = "differs from" if pair["p"] < SIGNIFICANT else "cannot be told from"
-                said.append(
-                    f"{called}, which trains nothing, brings it to "
-                    f"{percent(rows[rival]['distance'], 0)}: that {told} TOM mended (p "
-                    f"{pair['p']:.2g}, {pair['recordings']:.0f} recordings)."
-                )
-    shown = sorted((rows[way] for way in LABELS if way in rows), key=lambda row: row["distance"])
-    points = [
-        _point(LABELS[row["way"]], "", row["way"], row["distance"], row["low"], row["high"])
-        for row in shown
+    said = [
+        f"{name}, which trains nothing, brings it to {percent(rows[rival]['distance'], 0)}: that "
+        f"{'differs from' if pair['p'] < SIGNIFICANT else 'cannot be told from'} TOM mended (p "
+        f"{pair['p']:.2g}, {pair['recordings']:.0f} recordings)."
+        for pair in tables["head-to-head"]
+        for rival, name in rivals.items()
+        if {pair["way"], pair["against"]} == {MENDED, rival}
     ]
+    shown = sorted((rows[way] for way in LABELS if way in rows), key=lambda row: row["distance"])
+    points = [_point(LABELS[row["way"]], "", row, "distance") for row in shown]
     axis = "distance to the policy (1: unweighted)"
-    return Verdict(word, sentence, " ".join(said), axis, 1, points)
+    return Verdict(_judged(ours), sentence, " ".join(said), axis, 1, points)
 
 
 def _capacity(tables: Tables) -> Verdict:
@@ -133,10 +157,7 @@ def _capacity(tables: Tables) -> Verdict:
     )
     least = min(1.0, min(row["p"] for row in table) * len(table))
     against = f"Corrected for all {len(table)} tests of the table, the least p is {least:.2g}."
-    points = [
-        _point(row["model"], LABELS[row["way"]], row["way"], row["ratio"], row["low"], row["high"])
-        for row in table
-    ]
+    points = [_point(row["model"], LABELS[row["way"]], row, "ratio") for row in table]
     axis = "model error (1: as with uniform weights)"
     return Verdict(_judged(ours), sentence, against, axis, 1, points)
 
@@ -145,8 +166,7 @@ def _improvement(tables: Tables) -> Verdict:
     difference = "difference, "
     table = [row for row in tables["summary"] if row["what"].startswith(difference)]
     places = [row["what"].removeprefix(difference) for row in table]
-    told = [row for row in table if row["p"] * len(table) < SIGNIFICANT]
-    better = sum(2 * row["better in trials"] > row["n"] for row in told)
+    tests = [(row["p"] * len(table), 2 * row["better in trials"] > row["n"]) for row in table]
     trials = [
         f"{place} in {row['better in trials']:.0f} of {row['n']:.0f}"
         for place, row in zip(places, table, strict=True)
@@ -159,12 +179,10 @@ def _improvement(tables: Tables) -> Verdict:
         f"At most {max(row['recordings'] for row in table):.0f} recordings count in a test: only "
         "a large effect of weights could have been seen."
     )
-    points = [
-        _point(place, "", row["way"], row["better in trials"] / row["n"], nan, nan)
-        for place, row in zip(places, table, strict=True)
-    ]
-    word = word_of(better, len(told) - better, len(table))
-    return Verdict(word, sentence, against, "share of trials that return more", 0.5, points)
+    shares = [row | {"share": row["better in trials"] / row["n"]} for row in table]
+    points = [_point(place, "", row, "share") for place, row in zip(places, shares, strict=True)]
+    axis = "share of trials that return more"
+    return Verdict(_by_tests(tests), sentence, against, axis, 0.5, points)
 
 
 def _returns(tables: Tables) -> Verdict:
@@ -174,8 +192,7 @@ def _returns(tables: Tables) -> Verdict:
         if row["against"] == "MLE" and row["learner"].removesuffix(", mended") in BY_LABEL
     ]
     ours = [row for row in table if row["learner"].split(",")[0] == "TOM"]
-    told = [row for row in ours if row["p of all"] < SIGNIFICANT]
-    more = sum(row["wins"] > 0.5 for row in told)
+    tests = [(row["p of all"], row["wins"] > 0.5) for row in ours]
     chances = [
         f"{_plain(row['learner'])} {10 * row['wins']:.0f} times in 10 (p {row['p']:.2g})"
         for row in ours
@@ -188,14 +205,16 @@ def _returns(tables: Tables) -> Verdict:
     against = f"Corrected for all comparisons of the table, the least p is {least:.2g}.{few}"
     points = [
         Point(
-            row["by"], _plain(row["learner"]), BY_LABEL[row["learner"].removesuffix(", mended")],
+            row["by"], _plain(row["learner"]),
+            learner_colour(BY_LABEL[row["learner"].removesuffix(", mended")]),
             "circle-open" if row["learner"] == "TOM" else "circle",
             row["wins"], row["low"], row["high"],
         )
         for row in table
     ]  # fmt: skip
-    word = word_of(more, len(told) - more, len(ours))
-    return Verdict(word, sentence, against, "a random run beats one of MLE", 0.5, points)
+    return Verdict(
+        _by_tests(tests), sentence, against, "a random run beats one of MLE", 0.5, points
+    )
 
 
 def _focus(tables: Tables) -> Verdict:
@@ -208,8 +227,7 @@ def _focus(tables: Tables) -> Verdict:
         less = 1 - row["policy / mle"]
         gaps.setdefault(called[row["rival"]], []).append(("", row["recording"], less))
     signs = {name: sign_test(of) for name, of in gaps.items()}
-    told = [one for one in signs.values() if one.p * len(signs) < SIGNIFICANT]
-    better = sum(2 * one.above > one.n for one in told)
+    tests = [(one.p * len(signs), 2 * one.above > one.n) for one in signs.values()]
     counts = [f"{name} on {one.above} of {one.n}" for name, one in signs.items()]
     sentence = (
         "On new steps of the policy the model errs less than MLE's, of all recordings: "
@@ -222,14 +240,14 @@ def _focus(tables: Tables) -> Verdict:
         f"recordings have no p below {least:.2g}."
     )
     points = [
-        Point(row["recording"], called[row["rival"]], row["rival"].partition(" ")[0],
+        Point(row["recording"], called[row["rival"]],
+              learner_colour(row["rival"].partition(" ")[0]),
               "circle-open" if row["rival"] == "tom paper" else "circle",
               row["policy / mle"], nan, nan)
         for row in rows
     ]  # fmt: skip
-    word = word_of(better, len(told) - better, len(signs))
     axis = "model error where the policy goes (1: as MLE's)"
-    return Verdict(word, sentence, against, axis, 1, points)
+    return Verdict(_by_tests(tests), sentence, against, axis, 1, points)
 
 
 def _accepted(tables: Tables) -> Verdict:
@@ -242,7 +260,7 @@ def _accepted(tables: Tables) -> Verdict:
     sentence = f"{met} of the {len(judged)} numbers are met that were fixed beforehand."
     more = f", and {len(missed) - NAMED} more" if len(missed) > NAMED else ""
     against = f"Not met: {'; '.join(missed[:NAMED])}{more}." if missed else ""
-    return Verdict(word_of(met, len(missed), len(judged)), sentence, against, "", 0, ())
+    return Verdict(word_of(met, len(missed), len(judged)), sentence, against)
 
 
 RULES: dict[str, Callable[[Tables], Verdict]] = {
@@ -273,6 +291,12 @@ def _judged(rows: Sequence[Mapping[str, Any]]) -> str:
     return word_of(better, worse, len(rows))
 
 
+def _by_tests(tests: Sequence[tuple[float, bool]]) -> str:
+    """The word for tests: the corrected p of each, and whether it speaks for the better."""
+    told = [better for p, better in tests if p < SIGNIFICANT]
+    return word_of(sum(told), len(told) - sum(told), len(tests))
+
+
 def _sure(row: Mapping[str, Any], number: Callable[[float], str]) -> str:
     """How sure a row's number is: its interval, else its test."""
     if isfinite(row["low"]):
@@ -289,8 +313,11 @@ def word_of(better: int, worse: int, count: int) -> str:
     return "In part" if better else "No"
 
 
-def _point(line: str, series: str, way: str, value: float, low: float, high: float) -> Point:
-    return Point(line, series, WAYS[way].learner or "", symbol(way), value, low, high)
+def _point(line: str, series: str, row: Row, of: str) -> Point:
+    """The point of a row's way, which stands at the column `of`."""
+    ends = row.get("low", nan), row.get("high", nan)
+    colour = learner_colour(WAYS[row["way"]].learner or "")
+    return Point(line, series, colour, symbol(row["way"]), row[of], *ends)
 
 
 def symbol(way: str) -> str:
@@ -303,3 +330,102 @@ def symbol(way: str) -> str:
 def _plain(learner: str) -> str:
     """`TOM, mended` as pages call it."""
     return "TOM as printed" if learner == "TOM" else learner.replace(", mended", " mended")
+
+
+def every_ways(listed: Sequence[Study]) -> dict[str, Verdict]:
+    """`EVERY_WAY` answered by each footprint study with the capacity study whose name ends alike.
+
+    By that ending: `footprint` goes with `capacity`, `footprint-ways` with `capacity-ways`.
+    """
+    alike: dict[str, list[Study]] = {}
+    for study in listed:
+        alike.setdefault(study.name.removeprefix(study.verb), []).append(study)
+    return {ending: found for ending, of in alike.items() if (found := every_way(of)) is not None}
+
+
+def every_way(listed: Sequence[Study]) -> Verdict | None:
+    """The ways at the moments that both studies have; None without such moments."""
+    tables = {study.verb: _tables(study) for study in reversed(listed)}  # the first one counts
+    try:
+        near, errs = (tables[name]["moments"] for name in ("footprint", "capacity"))
+        shared = {*map(trial_of, near)} & {*map(trial_of, errs)}
+        near, errs = ([row for row in rows if trial_of(row) in shared] for rows in (near, errs))
+        distances = [(row, row["footprint"]) for row in telling(near)]
+        errors = [(row, log(r)) for row, model, r in ratios(errs, ERROR) if model == PAPERS]
+    except (KeyError, ValueError):  # not computed, or tables of another version
+        return None
+    every = (_panel(env, distances, errors) for env in dict.fromkeys(row["env"] for row in errs))
+    panels = [panel for panel in every if len(panel.ways) > 1]
+    if not panels:
+        return None
+    one_sided = {row["way"] for row in near} ^ {row["way"] for row in errs}
+    return Verdict(*_answer(panels), panels=panels, caption=_caption(panels, one_sided))
+
+
+def _panel(env: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) -> Panel:
+    """A task's ways by the distances and by the logarithms of the errors at its moments."""
+    near, errs = _typical(env, distances), _typical(env, errors)
+    even = Interval(1, 1, 1)
+    ways = [
+        Placed(way, near[way], Interval(*map(exp, (e.value, e.low, e.high))))
+        for way, e in errs.items()
+        if way in near
+    ]
+    moments = {(row["recording"], row["step"]) for row, _ in errors if row["env"] == env}
+    recordings = {recording for recording, _ in moments}
+    return Panel(env, [Placed(UNIFORM, even, even), *ways], len(recordings), len(moments))
+
+
+def _typical(env: str, outcomes: Sequence[Outcome]) -> dict[str, Interval]:
+    """By way the mean over recordings of the median over moments; intervals resample recordings."""
+    values: dict[str, list[tuple[str, str, float]]] = {}
+    for row, value in outcomes:
+        if row["env"] == env:
+            values.setdefault(row["way"], []).append((env, row["recording"], value))
+    return {way: over_recordings(values[way]) for way in WAYS if way in values}
+
+
+def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
+    """A word, a sentence, and what speaks against it.
+
+    A task says yes if a way has both intervals below uniform weights, no if each errs more.
+    """
+    yes, no, told = 0, 0, []
+    for panel in panels:
+        ways = panel.ways[1:]
+        both = [LABELS.get(p.way, p.way) for p in ways if p.distance.high < 1 and p.error.high < 1]
+        all_worse = all(p.error.low > 1 for p in ways)
+        yes, no = yes + bool(both), no + all_worse
+        none = "none, all err more" if all_worse else "none"
+        told.append(f"{called.task(panel.env)}: {', '.join(both) or none}.")
+    sentence = (
+        "Both nearer to the policy and of smaller error than uniform weights, by their intervals. "
+        + " ".join(told)
+    )
+    fewest = sorted({panel.recordings for panel in panels} & {*COVERAGE})[:1]
+    few = "".join(f", with {n} about {COVERAGE[n]} of 100 hold the true mean" for n in fewest)
+    alone = [called.task(panel.env) for panel in panels if panel.recordings == 1]
+    none = f" One recording, of {' and '.join(alone)}, gives none." if alone else ""
+    against = (
+        f"Intervals over so few recordings are too narrow{few}, and "
+        f"{2 * sum(len(panel.ways) - 1 for panel in panels)} are read at once, uncorrected.{none}"
+    )
+    return word_of(yes, no, len(panels)), sentence, against
+
+
+def _caption(panels: Sequence[Panel], one_sided: Collection[str]) -> str:
+    """`one_sided` are the ways that only one of the two studies has."""
+    n = ", ".join(
+        f"{called.task(p.env)} {p.moments} moments of {p.recordings} recording"
+        + "s" * (p.recordings > 1)
+        for p in panels
+    )
+    named = [label for way, label in LABELS.items() if way in one_sided]
+    if variants := len(one_sided) - len(named):
+        named.append(f"{variants} variants of TOM")
+    left_out = f" Left out, since one number is lacking: {', '.join(named)}." if named else ""
+    return (
+        "Uniform weights are at 1 on both axes; further left is nearer to the policy, further down "
+        f"errs less. Model: {PAPERS} (units x layers), one step ahead. Bars: 95 % bootstrap "
+        f"intervals over recordings. n: {n}.{left_out}"
+    )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
+from plotly.subplots import make_subplots
 
 from app.theme import DIVERGING, NEUTRAL, Mode, faded
 from tom import readable
@@ -36,7 +37,6 @@ Y_AXIS: dict[str, Any] = {
 }  # else wide tick labels overlap the title
 OCTAVES = 4.0
 """the colours range at most from 1/16 to 16 times the uniform weight"""
-_BELOW = {"orientation": "h", "y": 0, "yanchor": "top", "len": 0.9, "ypad": 8}
 
 
 def steps_in_words(envs: Iterable[str]) -> str:
@@ -78,6 +78,16 @@ def styled(
     margin = LAYOUT["margin"] | layout.pop("margin", {})
     figure.layout = go.Layout(LAYOUT | own | {"margin": margin} | layout)
     return figure
+
+
+def panels(rows: int, columns: int, height: int, keep: str, **how: Any) -> go.Figure:
+    """Several axes with the common layout, `how` they share and lie (`make_subplots`).
+
+    The user's zoom is kept as in `styled`.
+    """
+    figure = make_subplots(rows, columns, **how)
+    figure.update_layout(LAYOUT | {"height": height, "uirevision": keep})
+    return figure.update_xaxes(X_AXIS).update_yaxes(Y_AXIS)
 
 
 def line(
@@ -171,13 +181,10 @@ def relative_scale(
         words[0] = f"≤ {words[0]}"
     if (weight > 2**reach).any():
         words[-1] = f"≥ {words[-1]}"
-    bar = _bar(ticks, words, "times uniform") | (_BELOW if flat else {})
+    place = {"orientation": "h", "y": 0, "yanchor": "top", "len": 0.9, "ypad": 8} if flat else {}
+    bar = {"tickvals": ticks, "ticktext": words, "title": {"text": "times uniform"}}
+    bar |= {"thickness": 12, "outlinewidth": 0, "len": 1.0, "xpad": 6} | place
     return {"colorscale": DIVERGING[mode], "zmin": -reach, "zmax": reach, "colorbar": bar}
-
-
-def _bar(ticks: NDArray[np.float64], words: list[str], title: str) -> dict[str, Any]:
-    own = {"tickvals": ticks, "ticktext": words, "title": {"text": title}}
-    return {"thickness": 12, "outlinewidth": 0, "len": 1.0, "xpad": 6} | own
 
 
 def decimate(

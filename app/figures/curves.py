@@ -1,9 +1,12 @@
-"""Metrics against env steps or another axis: single runs, and groups with their looks and bands."""
+"""Metrics against env steps or another axis: single runs, and groups with their looks and bands.
 
-from collections import Counter
+The lines of groups have names at their ends, in place of a legend.
+"""
+
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -49,6 +52,9 @@ CORE = "core"
 """the name of the traces that are the insides of hollow lines"""
 LONGEST = 40
 """maximum number of characters of a group's title in the hover text"""
+MARK, HOLLOW_MARK = "\u25a0", "\u25a1"
+GAP, LETTER, ROOM = 15, 6.4, 14
+"""pixels: least distance of two labels, a letter, and the room around a label"""
 
 
 @dataclass(frozen=True)
@@ -73,36 +79,25 @@ def looks_of(
     are grey.
     """
     groups = set(groups)
-    tasks = Counter(kind for _, kind in groups)
-    offline = {kind for env, kind in groups if env == ROAD}  # where the paper's is the main preset
-    learnt = sorted(kind for kind in tasks if kind.learner)
+    kinds = sorted({kind for _, kind in groups})
     if by in (USUAL, "learner"):
-        return {
-            kind: _look(
-                kind, _title(kind, tasks), "paper" if kind in offline else main_preset(kind.learner)
-            )
-            for kind in sorted(tasks)
-        }
-    values = sorted((kind for kind in tasks if not kind.learner), key=_order)
+        offline = {kind for env, kind in groups if env == ROAD}  # where the paper's is the main one
+        return {kind: _look(kind, _title(kind, kinds), kind in offline) for kind in kinds}
+    values = [kind for kind in kinds if not kind.learner]
+    values.sort(key=lambda kind: natural(" ".join(kind)))
     # Seeds are numbers without a meaning.
     ordered = by != "seed" and all(number(kind, by) is not None for kind in values)
     colours = ramp(len(values), mode) if ordered else QUALITATIVE
-    of_values = {
-        kind: Look(
-            _title(kind, values),
-            colours[i % len(colours)],
-            DASHES[i // len(colours) % len(DASHES)],
-            SYMBOLS[i % len(SYMBOLS)],
-        )
-        for i, kind in enumerate(values)
+    styles = [(colour, dash) for dash in DASHES for colour in colours]
+    looks = {
+        kind: Look(_title(kind, values), *style, SYMBOLS[i % len(SYMBOLS)])
+        for i, (kind, style) in enumerate(zip(values, cycle(styles), strict=False))
     }
-    grey = {
-        kind: Look(
-            _title(kind, learnt), NEUTRAL, DASHES[i % len(DASHES)], learner_symbol(kind.learner)
-        )
-        for i, kind in enumerate(learnt)
+    learnt = [kind for kind in kinds if kind.learner]
+    return looks | {
+        kind: Look(_title(kind, learnt), NEUTRAL, dash, learner_symbol(kind.learner))
+        for kind, dash in zip(learnt, cycle(DASHES), strict=False)
     }
-    return of_values | grey
 
 
 def _title(kind: Kind, among: Iterable[Kind]) -> str:
@@ -113,26 +108,18 @@ def _title(kind: Kind, among: Iterable[Kind]) -> str:
     return ", ".join(filter(None, (called, kind.variant)))
 
 
-def main_preset(learner: str) -> str:
-    """The preset whose groups have a learner's full colour."""
-    return "mended" if learner == SUBJECT else "paper"
-
-
-def _look(kind: Kind, title: str, main: str) -> Look:
-    """A group's look: the hue of its learner, and a pale core unless it is of the `main` preset.
+def _look(kind: Kind, title: str, offline: bool) -> Look:
+    """A group's look: the hue of its learner, and a pale core unless it is of the main preset.
 
     It depends on nothing but the group itself, so that no filter changes it.
     """
+    main = "mended" if kind.learner == SUBJECT and not offline else "paper"
     colour = learner_colour(kind.learner)
     if kind.variant:
         grey = shades(mixed(colour, NEUTRAL, 0.5))
         colour = grey[blake2b(kind.variant.encode(), digest_size=1).digest()[0] * len(grey) // 256]
     core = "" if kind.preset in ("", main, "smoke") else mixed(colour, "#ffffff", 0.6)
     return Look(title, colour, "solid", learner_symbol(kind.learner), core)
-
-
-def _order(kind: Kind) -> list[tuple[float, str]]:
-    return natural(" ".join(kind))
 
 
 @dataclass(frozen=True)
@@ -180,25 +167,25 @@ def run_curves(
     names in the legend, by id, where learner and seed do not tell them apart. A zoom lasts while
     the metric, the axes and `keep`, which names the runs, are the same.
     """
-    figure = go.Figure()
-    words = []
-    usual = dashes([curve.learner for curve in curves])
-    for curve, dash in zip(curves, usual, strict=True):
+    figure, words = go.Figure(), list[str]()
+    at = "%{x:,} steps" if axes.x == ENV_STEPS else f"{text.plotly(axes.x)} %{{x:.4g}}"
+    for curve, dash in zip(curves, dashes([curve.learner for curve in curves]), strict=True):
+        learner = learner_label(curve.learner)
         look = looks[curve.kind] if looks else None
-        plain = f"{learner_label(curve.learner)} s{curve.seed}"
         step, value, cut = decimate(curve.step, curve.value, POINTS)
         if cut:
             words = [f"thinned to {POINTS} points a line"]
+        who = f"<b>{text.plotly(learner)}</b> seed {curve.seed}<br>{text.plotly(curve.run_id)}"
         figure.add_trace(
             line(
                 step,
                 value,
                 look.colour if look else learner_colour(curve.learner),
                 2,
-                _hover(curve, axes.x),
+                f"{who}<br>{at}: %{{y:.4g}}<extra></extra>",
                 dash=look.dash if look else dash,
-                uid=line_uid(curve),
-                name=text.plotly((called or {}).get(curve.run_id, plain)),
+                uid=_key(curve.run_id),
+                name=text.plotly((called or {}).get(curve.run_id, f"{learner} s{curve.seed}")),
                 meta=curve.run_id,
                 mode="lines+markers" if len(step) < 40 else "lines",
                 marker={"size": 5, "symbol": learner_symbol(curve.learner)},
@@ -228,31 +215,29 @@ def group_curves(
     figure = go.Figure()
     drawn: list[tuple[NDArray, NDArray]] = []
     styles = looks or looks_of((group.env, group.kind) for group in groups)
+    named: dict[str, list[str]] = {}
     for group in groups:
-        smooth, look = smoothed(group, window), styles[group.kind]
-        traces = []
-        if singles and group.n > 1:
-            traces += [_single(curve, look) for curve in group.curves]
-        if (here := np.isfinite(group.low)).any():
-            ends = smooth.step[here], smooth.low[here], smooth.high[here]
-            drawn_band = band(*ends, look.core or look.colour, _identity(smooth))
-            traces.append(drawn_band.update(uid=_identity(smooth, "band"), name="band"))
-        count = f"n = {group.n}" if group.n > 1 else "1 seed, no band"
-        traces += _middle(smooth, f"{look.title} ({count})", look)
-        figure.add_traces(traces)
+        smooth, look, key = (
+            smoothed(group, window),
+            styles[group.kind],
+            _key(group.env, *group.kind),
+        )
+        named[key] = [text.plotly(look.title), text.plotly(group.kind.preset)]
         drawn.append((smooth.step, smooth.mean))
         if singles and group.n > 1:
+            figure.add_traces([_single(curve, look, key) for curve in group.curves])
             drawn += [(curve.step, curve.value) for curve in group.curves]
+        if (here := np.isfinite(group.low)).any():
+            ends = smooth.step[here], smooth.low[here], smooth.high[here]
+            around = band(*ends, look.core or look.colour, key)
+            figure.add_trace(around.update(uid=f"{key}band", name="band"))
+        figure.add_traces(_middle(smooth, look, key))
     _draw_axes(figure, metric, height, axes, [group.env for group in groups])
     words = [f"smoothed: mean of {window} points of the line"] if window > 1 else []
     if any(group.thinned for group in groups):
         words.append(f"thinned to {GRID} points a line")
     if singles and any(len(c.step) > POINTS for g in groups if g.n > 1 for c in g.curves):
         words.append(f"single runs thinned to {POINTS} points each")
-    named = {
-        _identity(one): [text.plotly(styles[one.kind].title), text.plotly(one.kind.preset)]
-        for one in groups
-    }
     # One label for all lines at a step, the highest first.
     figure.update_layout(
         hovermode="x unified", hoversort="value descending",
@@ -263,11 +248,7 @@ def group_curves(
     return note(figure, words)
 
 
-def _identity(group: Group | Curve, part: str = "") -> str:
-    return _identifier(group.env, *group.kind, part)
-
-
-def _identifier(*words: str) -> str:
+def _key(*words: str) -> str:
     """A name for these words that Plotly can make a CSS class of, whatever they are."""
     return blake2b("\n".join(words).encode(), digest_size=8).hexdigest()
 
@@ -287,27 +268,28 @@ def _draw_axes(
     figure.update_layout(meta={"y": short_title(metric)})  # for a saved figure: pages have titles
 
 
-def _single(curve: Curve, look: Look) -> go.Scatter:
+def _single(curve: Curve, look: Look, key: str) -> go.Scatter:
     step, value, _ = decimate(curve.step, curve.value, POINTS)
-    name = f"{text.plotly(learner_label(curve.learner))} s{curve.seed}"
+    hover = f"{text.plotly(learner_label(curve.learner))} s{curve.seed}: %{{y:.4g}}<extra></extra>"
     return line(
         step,
         value,
         look.colour,
         1,
-        f"{name}: %{{y:.4g}}<extra></extra>",
-        uid=line_uid(curve),
+        hover,
+        uid=_key(curve.run_id),
         name=text.plotly(curve.run_id),
         meta=curve.run_id,
         opacity=0.35,
-        legendgroup=_identity(curve),
+        legendgroup=key,
         showlegend=False,
     )
 
 
-def _middle(group: Group, name: str, look: Look) -> list[go.Scatter]:
+def _middle(group: Group, look: Look, key: str) -> list[go.Scatter]:
     """The line of a group: solid where all its runs are, and dotted elsewhere."""
-    full = group.complete
+    full, runs = group.complete, [curve.run_id for curve in group.curves]
+    count = f"n = {group.n}" if group.n > 1 else "1 seed, no band"
     parts = []
     if full.any():  # the legend leaves out a line without points
         parts.append((full, group.mean[full], True))
@@ -315,7 +297,6 @@ def _middle(group: Group, name: str, look: Look) -> list[go.Scatter]:
         # Joined to the solid part, so that both look like one line.
         near = ~full | np.append(~full[1:], False) | np.append(False, ~full[:-1])
         parts.append((np.ones_like(full), np.where(near, group.mean, np.nan), False))
-    only = group.curves[0].run_id if group.curves else None
     marked = len(group.step) < 40 and not group.interpolated
     statistic = {"mean": "mean", "median": "median", "iqm": "IQM"}[group.statistic]
     title = look.title if len(look.title) <= LONGEST else f"{look.title[: LONGEST - 3]}..."
@@ -329,20 +310,19 @@ def _middle(group: Group, name: str, look: Look) -> list[go.Scatter]:
             f"{hover}<extra></extra>",
             dash=look.dash if whole else "dot",
             customdata=group.count[here],
-            uid=line_uid(group) if i == 0 else _identity(group, "dots"),
-            name=text.plotly(name) if i == 0 else "fewer runs than n",
-            meta=[curve.run_id for curve in group.curves] if group.n > 1 else only,
+            uid=f"{key}line" if i == 0 else f"{key}dots",
+            name=text.plotly(f"{look.title} ({count})") if i == 0 else "fewer runs than n",
+            meta=runs if group.n > 1 else next(iter(runs), None),
             mode="lines+markers" if marked and whole else "lines",
             marker={"size": 6, "symbol": look.symbol},
-            legendgroup=_identity(group),
+            legendgroup=key,
             showlegend=i == 0,
         )
         for i, (here, value, whole) in enumerate(parts)
     ]
     if look.core and full.any():
         inside = core(group.step[full], group.mean[full], look)
-        inside.update(uid=_identity(group, "core"), meta=lines[0].meta)
-        lines.append(inside.update(legendgroup=_identity(group)))
+        lines.append(inside.update(uid=f"{key}core", meta=lines[0].meta, legendgroup=key))
     return lines
 
 
@@ -351,12 +331,55 @@ def core(x: NDArray, y: NDArray, look: Look) -> go.Scatter:
     return line(x, y, look.core, HOLLOW - 2.4, None, hoverinfo="skip", showlegend=False, name=CORE)
 
 
-def line_uid(of: Group | Curve) -> str:
-    """The `uid` of a group's or a run's line in a chart."""
-    return _identity(of, "line") if isinstance(of, Group) else _identifier(of.run_id)
+def label_ends(
+    figure: go.Figure, groups: Sequence[Group], looks: Mapping[Kind, Look], axes: Axes
+) -> go.Figure:
+    """Name every group's line at the right of the figure, at the height where it ends.
+
+    Labels that would overlap are moved apart. The figure has its height already. Where a line ends
+    at or below zero on a log axis, the legend stays.
+    """
+    ends = [
+        (float(group.mean[np.isfinite(group.mean)][-1]), looks[group.kind], group.n)
+        for group in groups
+    ]
+    if axes.log_y and any(y <= 0 for y, _, _ in ends):
+        return figure
+    # The axis ends at the lowest and highest of what is drawn; so do the labels' places, in pixels.
+    traces: list[Any] = list(figure.data)
+    values = np.concatenate([np.asarray(t.y, np.float64) for t in traces if t.y is not None])
+    values, ys = values[np.isfinite(values)], np.array([y for y, _, _ in ends])
+    if axes.log_y:
+        values, ys = np.log10(values[values > 0]), np.log10(ys)
+    low, high = float(values.min()), float(values.max())
+    span = (high - low) or 1.0
+    pixels = (figure.layout.height or 300) - 60  # type: ignore[attr-defined]
+    place = moved_apart((ys - low) / span * pixels, GAP)
+    names = [f"{look.title} ({n})" for _, look, n in ends]
+    for name, (_, look, _), at in zip(names, ends, place, strict=True):
+        mark = HOLLOW_MARK if look.core else MARK
+        figure.add_annotation(
+            text=f'<span style="color:{look.colour}">{mark}</span> {text.plotly(name)}',
+            x=1, xref="paper", xanchor="left", xshift=6,
+            y=low + at / pixels * span, yref="y", yanchor="middle", showarrow=False,
+            font={"size": 12},
+        )  # fmt: skip
+    longest = max(map(len, names))
+    figure.update_layout(showlegend=False, margin={"r": round(LETTER * longest) + ROOM})
+    return figure
 
 
-def _hover(curve: Curve, x: str) -> str:
-    name = f"{text.plotly(learner_label(curve.learner))}</b> seed {curve.seed}"
-    at = "%{x:,} steps" if x == ENV_STEPS else f"{text.plotly(x)} %{{x:.4g}}"
-    return f"<b>{name}<br>{text.plotly(curve.run_id)}<br>{at}: %{{y:.4g}}<extra></extra>"
+def moved_apart(places: np.ndarray, gap: float) -> np.ndarray:
+    """The places (n,), moved a little so that no two are nearer than `gap`."""
+    order = np.argsort(places, kind="stable")
+    moved = places[order].astype(np.float64)
+    for _ in range(200):
+        close = np.flatnonzero(np.diff(moved) < gap - 1e-6)
+        if not len(close):
+            break
+        for i in close:
+            lack = (gap - (moved[i + 1] - moved[i])) / 2
+            moved[i], moved[i + 1] = moved[i] - lack, moved[i + 1] + lack
+    result = np.empty(len(moved))
+    result[order] = moved
+    return result

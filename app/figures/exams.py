@@ -1,14 +1,15 @@
-"""The exams of fits: the footprint of their weights, their errors, and the next return."""
+"""The exams of fits, their footprints, errors and next returns; and models' errors in sample."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from app import text
+from app.data.buffer import Floats
 from app.data.exams import Exams
-from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, note, upright
+from app.figures.base import dashes, line, note, panels, styled, upright
+from app.figures.weights import AGES, AT_AGE, PLACE, bin_centres
 from app.theme import faded, learner_colour, learner_label, learner_symbol
 from tom.readable import score, short
 from tom.spread import spread
@@ -25,7 +26,8 @@ def footprint_error_return(exams: Sequence[Exams], height: int) -> go.Figure:
     Both panels share the error axis, so that a fit is at the same height in both. Uninformative
     footprints (`Exams.telling`) are left out of the first panel, which says so.
     """
-    figure = make_subplots(rows=1, cols=2, shared_yaxes=True, horizontal_spacing=0.03)
+    keep = " ".join(["exams", *(run.run_id for run in exams)])
+    figure = panels(1, 2, height, keep, shared_yaxes=True, horizontal_spacing=0.03)
     share = min(FITS / max(sum(len(run.step) for run in exams), 1), 1.0)
     shown = [run.at(spread(len(run.step), int(np.ceil(share * len(run.step))))) for run in exams]
     for learner in dict.fromkeys(run.learner for run in shown):
@@ -36,13 +38,11 @@ def footprint_error_return(exams: Sequence[Exams], height: int) -> go.Figure:
         key = {"size": LEGEND, "color": learner_colour(learner), "symbol": learner_symbol(learner)}
         named = {"name": text.plotly(learner_label(learner)), "legendgroup": text.plotly(learner)}
         figure.add_trace(go.Scatter(x=[None], y=[None], mode="markers", marker=key, **named), 1, 1)
-    marks = [upright(0, 1, "dot"), upright(1, 1, "dot")]
-    keep = " ".join(["exams", *(run.run_id for run in exams)])
-    figure.update_layout(**LAYOUT, height=height, uirevision=keep, shapes=marks)
-    figure.update_yaxes(**Y_AXIS, type="log", tickvals=TICKS, ticktext=[f"{at:g}" for at in TICKS])
+    figure.update_layout(shapes=[upright(0, 1, "dot"), upright(1, 1, "dot")])
+    figure.update_yaxes(type="log", tickvals=TICKS, ticktext=[f"{at:g}" for at in TICKS])
     footprint = "footprint (0: like the policy itself, 1: as without weights)"
-    figure.update_xaxes(**X_AXIS, title_text=footprint, col=1)
-    figure.update_xaxes(**X_AXIS, title_text="return of the next evaluation", col=2)
+    figure.update_xaxes(title_text=footprint, col=1)
+    figure.update_xaxes(title_text="return of the next evaluation", col=2)
     figure.update_yaxes(title_text="one-step error in the exam (std)", col=1)
     fits, drawn = (sum(len(run.step) for run in of) for of in (exams, shown))
     words = [f"{drawn:,} of {fits:,} fits are drawn"] if drawn < fits else []
@@ -56,7 +56,7 @@ def _points(learner: str, runs: Sequence[Exams], x: str) -> go.Scatter:
     return go.Scatter(
         x=np.concatenate([getattr(run, x) for run in runs]),
         y=np.concatenate([run.error for run in runs]),
-        hovertext=[words for run in runs for words in hover(run)],
+        hovertext=[_hover(run, i) for run in runs for i in range(len(run.step))],
         hoverinfo="text",
         name=text.plotly(learner_label(learner)),
         meta=text.plotly(learner),
@@ -67,16 +67,72 @@ def _points(learner: str, runs: Sequence[Exams], x: str) -> go.Scatter:
     )
 
 
-def hover(run: Exams) -> list[str]:
-    """The hover text of each fit (F,)."""
-    who = f"<b>{text.plotly(run.group)}</b> seed {run.seed}<br>{text.plotly(run.run_id)}"
-    lines = []
-    for i, step in enumerate(run.step):
-        nothing = "" if run.telling[i] else ": says nothing"
-        footprint = f"{short(run.footprint[i])} (noise {short(run.noise[i])}{nothing})"
-        lines.append(
-            f"{who}<br>fit at step {step:,}<br>footprint {footprint}"
-            f"<br>error {short(run.error[i])}, five steps {short(run.rollout_error[i])}"
-            f"<br>return of the next evaluation {score(float(run.returns[i]))}"
-        )
-    return lines
+def _hover(run: Exams, i: int) -> str:
+    nothing = "" if run.telling[i] else ": says nothing"
+    return (
+        f"<b>{text.plotly(run.group)}</b> seed {run.seed}<br>{text.plotly(run.run_id)}"
+        f"<br>fit at step {run.step[i]:,}"
+        f"<br>footprint {short(run.footprint[i])} (noise {short(run.noise[i])}{nothing})"
+        f"<br>error {short(run.error[i])}, five steps {short(run.rollout_error[i])}"
+        f"<br>return of the next evaluation {score(float(run.returns[i]))}"
+    )
+
+
+def errors_by_age(
+    errors: Sequence[tuple[str, str, Floats]], bins: int, height: int, *, keep: str = ""
+) -> go.Figure:
+    """Mean model error of each part of the buffer; `errors`: (run's name, learner, row errors).
+
+    A zoom lasts while `keep`, the id of the buffer's run, is the same.
+    """
+    figure = go.Figure()
+    usual = dashes([learner for _, learner, _ in errors])
+    for (name, learner, error), dash in zip(errors, usual, strict=True):
+        parts = np.array_split(error, min(bins, len(error)))
+        means, colour = [part.mean() for part in parts], learner_colour(learner)
+        hover = f"{text.plotly(name)}<br>{AT_AGE}<br>error %{{y:.3g}}<extra></extra>"
+        more = {"name": text.plotly(name), "mode": "lines+markers"}
+        more |= {"marker": {"size": 5, "symbol": learner_symbol(learner)}}
+        figure.add_trace(line(bin_centres(len(parts)), means, colour, 2, hover, dash=dash, **more))
+    lone = {"showlegend": True}  # a single line may be of another run than the buffer
+    zero, kept = {"rangemode": "tozero"}, f"errors by age {keep}"
+    y = "one-step error (std)"
+    return styled(figure, PLACE, height, keep=kept, y=y, x_axis=AGES, y_axis=zero, **lone)
+
+
+Errors = tuple[str, str, float, float]
+"""a run's id, its learner, and its model's error, in standard deviations of a step's change: on the
+policy's newest transitions, and on the rest of the buffer"""
+
+
+def focus(groups: Mapping[str, Sequence[Errors]], height: int, keep: str) -> go.Figure:
+    """For each group, by name, its runs' errors on the policy's transitions and on the others.
+
+    A line joins a run's two errors. The more runs, the closer they stand, each group at its tick.
+    """
+    figure = go.Figure()
+    for i, runs in enumerate(groups.values()):
+        apart = min(0.12, 0.6 / len(runs))
+        for k, (run_id, learner, policy, other) in enumerate(runs):
+            colour, name = learner_colour(learner), text.plotly(run_id)
+            nudge = apart * (k - (len(runs) - 1) / 2)
+            ring = {"color": [colour, "rgba(0,0,0,0)"], "line": {"color": colour, "width": 2}}
+            figure.add_trace(
+                line(
+                    [i - 0.15 + nudge, i + 0.15 + nudge],
+                    [policy, other],
+                    faded(colour, 0.5),
+                    1.5,
+                    f"{name}<br>%{{customdata}}<br>error %{{y:.3g}}<extra></extra>",
+                    customdata=["the policy's transitions", "the other transitions"],
+                    meta=name,
+                    mode="lines+markers",
+                    marker={"size": 10, "symbol": "circle", **ring},
+                    showlegend=False,
+                )
+            )
+    kept = " ".join([keep, *(run_id for runs in groups.values() for run_id, *_ in runs)])
+    names = {"tickvals": list(range(len(groups))), "ticktext": list(map(text.plotly, groups))}
+    names |= {"range": [-0.6, len(groups) - 0.4]}
+    zero = {"rangemode": "tozero"}
+    return styled(figure, "", height, keep=kept, y="error (std)", x_axis=names, y_axis=zero)

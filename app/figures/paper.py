@@ -16,7 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 
-from app.figures.ends import HOLLOW_MARK, MARK, moved_apart
+from app.figures.curves import HOLLOW_MARK, MARK, moved_apart
+from app.theme import NEUTRAL
 
 WIDTHS = {"one": 3.4, "two": 7.0}
 """inches of one and of two columns"""
@@ -51,23 +52,28 @@ def paper_figure(shown: Mapping[str, Any], width: str, kind: str) -> bytes:
     labels = [one for one in notes if one["yref"] != "paper"]
     keyed = [t for t in shown["traces"] if t["showlegend"]] if shown["legend"] else []
     longest = max((len(t["name"]) for t in keyed), default=1)
-    across = max(1, int((inches - 0.5) / (0.45 + LETTER * longest)))
-    top = ROW * -(-len(keyed) // across)
+    beside = max(1, int((inches - 0.5) / (0.45 + LETTER * longest)))
+    top = ROW * -(-len(keyed) // beside)
     height = top + 0.5 + inches * min(max(float(shown["ratio"]), 0.3), 1.2) * 0.8
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(inches, height))
         axes = {name: _axes(figure, pair, inches) for name, pair in shown["axes"].items()}
-        for trace in shown["traces"]:
-            _trace(axes[trace["axes"]], trace)
+        drawn = [_trace(axes[trace["axes"]], trace) for trace in shown["traces"]]
         first = next(iter(axes.values()))
         for shape in shown["shapes"]:
-            _line(axes.get(shape.get("axes"), first), shape)
+            on = axes.get(shape.get("axes"), first)
+            flat = shape["y0"] == shape["y1"]
+            across, at = (on.axhline, shape["y0"]) if flat else (on.axvline, shape["x0"])
+            across(at, color=NEUTRAL, linewidth=0.6, linestyle=DASHES.get(shape["dash"], "-"))
         _labels(first, labels, 72 * (height - 0.5 - top))
         _fit(figure, axes, shown["axes"], top)
         if keyed:
+            pairs = zip(shown["traces"], drawn, strict=True)
+            handles = [one for trace, one in pairs if trace["showlegend"]]
             figure.legend(
-                *_handles(axes, keyed), loc="upper left", ncols=across, fontsize=TEXT,
-                bbox_to_anchor=(0.02, 1), borderaxespad=0.1, handlelength=1.6, columnspacing=1,
+                handles, [_plain(trace["name"]) for trace in keyed], loc="upper left",
+                ncols=beside, fontsize=TEXT, bbox_to_anchor=(0.02, 1), borderaxespad=0.1,
+                handlelength=1.6, columnspacing=1,
             )  # fmt: skip
         file = io.BytesIO()
         figure.savefig(file, format=kind, dpi=600)
@@ -101,7 +107,8 @@ def _axes(figure: Figure, pair: Mapping[str, Any], inches: float) -> Axes:
         ends = [10**end if axis["type"] == "log" else end for end in axis["range"]]
         title = fill(_plain(axis["title"]), int(12 * inches) if name == "x" else 60)
         if axis["tickvals"]:
-            words = [_wrapped(word) for word in axis["ticktext"]]
+            lines = (_plain(word).split("\n") for word in axis["ticktext"])
+            words = ["\n".join(fill(line, ROWS) for line in of) for of in lines]
             axes.set(**{f"{name}ticks": axis["tickvals"], f"{name}ticklabels": words})
             axes.minorticks_off()
         axes.set(**{f"{name}lim": ends, f"{name}label": title})  # ticks beyond them move them
@@ -114,60 +121,46 @@ def _axes(figure: Figure, pair: Mapping[str, Any], inches: float) -> Axes:
     return axes
 
 
-def _wrapped(words: str) -> str:
-    """A label in lines that are not long."""
-    return "\n".join(fill(line, ROWS) for line in _plain(words).split("\n"))
-
-
-def _trace(axes: Axes, trace: Mapping[str, Any]) -> None:
+def _trace(axes: Axes, trace: Mapping[str, Any]) -> Any:
+    """Draw a trace, and return what stands for it in a legend."""
     x, y = _numbers(trace["x"]), _numbers(trace["y"])
     if trace["type"] == "heatmap":
         z = np.asarray(trace["z"], np.float64)
         stops = [(at, _rgba(colour)) for at, colour in trace["colorscale"]]
-        colours = LinearSegmentedColormap.from_list("page", stops)
         drawn = axes.pcolormesh(
-            _edges(x, z.shape[1]), _edges(y, z.shape[0]), z, cmap=colours, rasterized=True,
+            _edges(x, z.shape[1]), _edges(y, z.shape[0]), z, rasterized=True,
+            cmap=LinearSegmentedColormap.from_list("page", stops),
             vmin=trace["zmin"], vmax=trace["zmax"],
         )  # fmt: skip
         beside = axes.inset_axes((1.02, 0, 0.03, 1))
         bar = axes.figure.colorbar(drawn, cax=beside)
         if trace["ticks"]:
             bar.set_ticks(trace["ticks"]["tickvals"], labels=trace["ticks"]["ticktext"])
-    elif trace["type"] == "bar":
+        return drawn
+    if trace["type"] == "bar":
         gap = np.diff(x).min() if len(x) > 1 else 1.0
-        axes.bar(x, y, width=gap, color=_rgba(trace["colour"]), linewidth=0)
-    elif trace["fill"]:
-        axes.fill(x, y, color=_rgba(trace["fill"]), linewidth=0)
-    else:
-        for name, bars in (("xerr", trace["bars"]), ("yerr", trace.get("upright"))):
-            if bars:
-                ends: Any = {name: np.array([bars["arrayminus"], bars["array"]], np.float64)}
-                axes.errorbar(x, y, **ends, fmt="none", ecolor=_rgba(bars["color"]), elinewidth=0.8)
-        points: Sequence[tuple[str, str]] = trace["marks"] or ()
-        for at, height, (symbol, colour) in zip(x, y, points, strict=False):
-            name = symbol.removesuffix("-open")
-            axes.plot(
-                at, height, SYMBOLS[name], color=_rgba(colour), markersize=4,
-                markerfacecolor="white" if symbol != name else _rgba(colour),
-            )  # fmt: skip
-        if points:
-            return
-        style = {"alpha": trace["opacity"], "color": _rgba(trace["colour"])}
-        lines, marks = "lines" in trace["mode"], "markers" in trace["mode"]
-        axes.plot(
-            x, y, linewidth=LINE * trace["width"], linestyle=DASHES[trace["dash"]] if lines else "",
-            drawstyle="steps-mid" if trace["shape"] == "hvh" else "default",
-            marker=SYMBOLS.get(trace["symbol"], "o") if marks else "",
-            markersize=LINE * trace["size"], markeredgewidth=0, **style,
-        )  # fmt: skip
-
-
-def _line(axes: Axes, shape: Mapping[str, Any]) -> None:
-    style = {"color": "#8a92a3", "linewidth": 0.6, "linestyle": DASHES.get(shape["dash"], "-")}
-    if shape["y0"] == shape["y1"]:
-        axes.axhline(shape["y0"], **style)
-    else:
-        axes.axvline(shape["x0"], **style)
+        return axes.bar(x, y, width=gap, color=_rgba(trace["colour"]), linewidth=0)
+    if trace["fill"]:
+        return axes.fill(x, y, color=_rgba(trace["fill"]), linewidth=0)[0]
+    for name, bars in (("xerr", trace["bars"]), ("yerr", trace.get("upright"))):
+        if bars:
+            ends: Any = {name: np.array([bars["arrayminus"], bars["array"]], np.float64)}
+            axes.errorbar(x, y, **ends, fmt="none", ecolor=_rgba(bars["color"]), elinewidth=0.8)
+    if trace["marks"]:  # a symbol and a colour for each point
+        points = []
+        for at, height, (symbol, colour) in zip(x, y, trace["marks"], strict=False):
+            name, colour = symbol.removesuffix("-open"), _rgba(colour)
+            inside = "white" if symbol != name else colour
+            style = {"color": colour, "markersize": 4, "markerfacecolor": inside}
+            points += axes.plot(at, height, SYMBOLS[name], **style)
+        return points[0]
+    lines, marks = "lines" in trace["mode"], "markers" in trace["mode"]
+    return axes.plot(
+        x, y, linewidth=LINE * trace["width"], linestyle=DASHES[trace["dash"]] if lines else "",
+        drawstyle="steps-mid" if trace["shape"] == "hvh" else "default",
+        marker=SYMBOLS.get(trace["symbol"], "o") if marks else "", markeredgewidth=0,
+        markersize=LINE * trace["size"], alpha=trace["opacity"], color=_rgba(trace["colour"]),
+    )[0]  # fmt: skip
 
 
 def _labels(axes: Axes, labels: Sequence[Mapping[str, Any]], points: float) -> None:
@@ -187,25 +180,6 @@ def _labels(axes: Axes, labels: Sequence[Mapping[str, Any]], points: float) -> N
                     color=part, linewidth=width,
                 )  # fmt: skip
         axes.text(1.05, height, _plain(one["text"]), transform=axes.transAxes, va="center")
-
-
-def _handles(axes: Mapping[str, Axes], keyed: Sequence[Mapping[str, Any]]) -> tuple[list, list]:
-    from matplotlib.lines import Line2D
-
-    handles = []
-    for trace in keyed:
-        symbol = trace["marks"][0][0] if trace["marks"] else trace["symbol"]
-        name = symbol.removesuffix("-open")
-        colour = _rgba(trace["colour"])
-        handles.append(
-            Line2D(
-                [], [], color=colour, linewidth=LINE * trace["width"],
-                linestyle=DASHES[trace["dash"]] if "lines" in trace["mode"] else "",
-                marker=SYMBOLS.get(name, "o") if "markers" in trace["mode"] else "",
-                markersize=3, markerfacecolor="white" if symbol != name else colour,
-            )
-        )  # fmt: skip
-    return handles, [_plain(trace["name"]) for trace in keyed]
 
 
 def _numbers(values: Sequence[Any]) -> np.ndarray:

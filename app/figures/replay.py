@@ -1,26 +1,16 @@
 """The return curve to choose an episode from, and the episode step by step."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
-from plotly.subplots import make_subplots
 
 from app import text
 from app.data.buffer import WINDOW
 from app.data.replays import Replay
-from app.figures.base import (
-    LAYOUT,
-    X_AXIS,
-    Y_AXIS,
-    decimate,
-    line,
-    note,
-    steps_in_words,
-    styled,
-    upright,
-)
+from app.figures.base import decimate, line, note, panels, steps_in_words, styled, upright
 from app.theme import NEUTRAL, learner_colour, learner_label, learner_symbol
 from tom.analysis.curves import Curve
 
@@ -75,31 +65,41 @@ def return_curve(
 
 def reward_curve(replay: Replay, frame: int, height: int) -> go.Figure:
     """The real and the predicted reward of each step, with the frame marked."""
-    figure = go.Figure()
-    seconds = replay.dt * np.arange(replay.episode.length)
     lines = [("real", replay.episode.reward, NEUTRAL, 2.0)]
     if replay.imagined is not None:
         name = f"imagined by {text.plotly(learner_label(replay.learner))}'s model"
         lines.append((name, replay.imagined.reward, learner_colour(replay.learner), 1.5))
-    for name, values, colour, width in lines:
-        hover = f"{name}<br>%{{x:.2f}} s<br>reward %{{y:.3g}}<extra></extra>"
-        figure.add_trace(line(seconds, values, colour, width, hover, name=name))
-    marks, kept = [upright(frame * replay.dt, 1.5, "dot")], f"replay-reward {replay.name}"
-    return styled(figure, "seconds", height, keep=kept, y="reward a step", marks=marks)
+    return _steps(replay, "reward", lines, 0, frame, height, y="reward a step")
 
 
 def error_curve(replay: Replay, frame: int, height: int) -> go.Figure:
     """The distance of the predicted state from the real one at each step; needs a ghost."""
-    seconds = replay.dt * np.arange(1, replay.episode.length + 1)
-    colour, hover = learner_colour(replay.learner), "%{x:.2f} s<br>distance %{y:.3g}<extra></extra>"
-    more = {"name": "distance", "showlegend": False}
-    figure = go.Figure(line(seconds, replay.error, colour, 1.5, f"distance<br>{hover}", **more))
-    marks, kept = [upright(frame * replay.dt, 1.5, "dot")], f"replay-error {replay.name}"
-    styled(figure, "seconds", height, keep=kept, y="distance (std)", marks=marks)
+    lines = [("distance", replay.error, learner_colour(replay.learner), 1.5)]
+    more = {"y": "distance (std)", "showlegend": False}
+    figure = _steps(replay, "distance", lines, 1, frame, height, **more)
     nothing = not np.isfinite(replay.error).any()
     return note(
         figure, ["no distance: one step, or states that change alike, have no scale"] * nothing
     )
+
+
+def _steps(
+    replay: Replay,
+    of: str,
+    lines: Sequence[tuple[str, NDArray, str, float]],
+    first: int,
+    frame: int,
+    height: int,
+    **more: Any,
+) -> go.Figure:
+    """Lines (name, values (H,), colour, width) against seconds, from step `first` on."""
+    figure = go.Figure()
+    for name, values, colour, width in lines:
+        seconds = replay.dt * np.arange(first, first + len(values))
+        hover = f"{name}<br>%{{x:.2f}} s<br>{of} %{{y:.3g}}<extra></extra>"
+        figure.add_trace(line(seconds, values, colour, width, hover, name=name))
+    marks, kept = [upright(frame * replay.dt, 1.5, "dot")], f"replay-{of} {replay.name}"
+    return styled(figure, "seconds", height, keep=kept, marks=marks, **more)
 
 
 def observed_curves(replay: Replay, frame: int, height: int) -> go.Figure:
@@ -139,10 +139,8 @@ def _dimensions(
     dims = lines[0][2].shape[-1]
     shown = min(dims, MOST)
     spacing = min(0.05, 0.5 / max(shown - 1, 1))
-    figure = make_subplots(shown, 1, shared_xaxes=True, vertical_spacing=spacing)
-    figure.update_layout(**LAYOUT, height=height * shown, uirevision=keep)
-    figure.update_xaxes(**X_AXIS)
-    figure.update_yaxes(**Y_AXIS)
+    apart = {"shared_xaxes": True, "vertical_spacing": spacing}
+    figure = panels(shown, 1, height * shown, keep, **apart)
     for i in range(shown):
         for name, colour, values in lines:
             hover = f"{name}<br>%{{y:.3g}}<extra></extra>"

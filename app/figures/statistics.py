@@ -1,19 +1,19 @@
 """Performance profiles and the probability of improvement, as figures."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
-from plotly.subplots import make_subplots
 
 from app import text
 from app.data import called
-from app.data.every_way import Panel
-from app.data.verdicts import LABELS, Point, symbol
-from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, band, line, styled, upright
+from app.data.verdicts import LABELS, Panel, Point, symbol
+from app.figures import base
+from app.figures.base import band, line, styled, upright
 from app.figures.curves import HOLLOW, Look, core
 from app.theme import NEUTRAL, faded, learner_colour
 from tom.analysis.statistics import Interval
@@ -61,7 +61,12 @@ def profiles(
 
 
 def intervals(
-    points: Sequence[Point], axis: str, level: float, height: int, keep: str
+    points: Sequence[Point],
+    axis: str,
+    level: float,
+    height: int,
+    keep: str,
+    x_axis: Mapping[str, Any] = MappingProxyType({}),
 ) -> go.Figure:
     """Results with their intervals, one below the other; `level` is that of no difference."""
     lines = list(dict.fromkeys(point.line for point in points))[::-1]
@@ -71,7 +76,7 @@ def intervals(
         of = [point for point in points if point.series == name]
         value, low, high = np.array([(one.value, one.low, one.high) for one in of]).T
         below = ((len(series) - 1) / 2 - i) / (len(series) + 1)
-        colours = [learner_colour(one.learner) for one in of]
+        colours = [one.colour for one in of]
         figure.add_scatter(
             x=value,
             y=[lines.index(one.line) + below for one in of],
@@ -87,9 +92,11 @@ def intervals(
             ],
             hovertemplate="%{text}<extra></extra>",
         )  # fmt: skip
-    ticks = {"tickvals": list(range(len(lines))), "ticktext": [text.plotly(one) for one in lines],
+    words = ["<br>".join(map(text.plotly, line.split("\n"))) for line in lines]
+    ticks = {"tickvals": list(range(len(lines))), "ticktext": words,
              "range": [-0.6, len(lines) - 0.4], "showgrid": False, "title": ""}  # fmt: skip
-    styled(figure, axis, height, keep=keep, marks=[upright(level, 1.2, "dash")], y_axis=ticks)
+    marks = [upright(level, 1.2, "dash")]
+    styled(figure, axis, height, keep=keep, marks=marks, x_axis=x_axis, y_axis=ticks)
     legend = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"}
     return figure.update_layout(showlegend=len(series) > 1, legend=legend)
 
@@ -100,41 +107,33 @@ FEW, MORE = (0.03, 0.1, 0.3, 1, 3), (0.5, 0.7, 0.8, 0.9, 1, 1.2, 1.5, 2, 3)
 
 def two_axes(panels: Sequence[Panel], height: int, keep: str) -> go.Figure:
     """Ways of weighing by distance and error, a panel per task, both axes logarithmic."""
-    figure = make_subplots(1, len(panels), shared_yaxes=True, horizontal_spacing=0.03)
+    figure = base.panels(1, len(panels), height, keep, shared_yaxes=True, horizontal_spacing=0.03)
     shown: set[str] = set()
     for column, panel in enumerate(panels, 1):
         name = called.task(panel.env)
-        for one in panel.ways:
-            colour, label = (
-                learner_colour(WAYS[one.way].learner or ""),
-                LABELS.get(one.way, one.way),
-            )
+        for way, distance, error in panel.ways:
+            colour = learner_colour(WAYS[way].learner or "")
+            label = text.plotly(LABELS.get(way, way))
             figure.add_scatter(
-                x=[one.distance.value], y=[one.error.value],
-                error_x=_bars(one.distance, colour), error_y=_bars(one.error, colour),
-                mode="markers", name=text.plotly(label), legendgroup=one.way,
-                showlegend=one.way not in shown,
-                marker={"size": 10, "color": [colour], "symbol": [symbol(one.way)],
+                x=[distance.value], y=[error.value],
+                error_x=_bars(distance, colour), error_y=_bars(error, colour),
+                mode="markers", name=label, legendgroup=way, showlegend=way not in shown,
+                marker={"size": 10, "color": [colour], "symbol": [symbol(way)],
                         "line": {"color": [colour], "width": 2}},
-                text=[f"{name}: {text.plotly(label)}"],
-                hovertemplate="%{text}<br>"
-                f"distance {one.distance}<br>error {one.error}<extra></extra>",
+                hovertemplate=f"{name}: {label}<br>"
+                f"distance {distance}<br>error {error}<extra></extra>",
                 row=1, col=column,
             )  # fmt: skip
-            shown.add(one.way)
+            shown.add(way)
         figure.update_xaxes(title_text=f"<b>{name}</b><br>distance to the policy", col=column)
     level = {"color": NEUTRAL, "width": 1.2, "dash": "dash"}
     figure.add_vline(1, line=level)
     figure.add_hline(1, line=level)
-    figure.update_layout(
-        LAYOUT | {"height": height, "uirevision": keep, "meta": {"x": "distance to the policy"}}
-    )
-    log = {"type": "log", "tickangle": 0}
+    figure.update_layout(meta={"x": "distance to the policy"})
     few, more = ({"tickvals": at, "ticktext": [f"{x:g}" for x in at]} for at in (FEW, MORE))
-    figure.update_xaxes(X_AXIS | log | few | {"matches": "x", "showgrid": True})
-    figure.update_yaxes(Y_AXIS | log | more)
-    figure.update_yaxes(title_text="model error over uniform's", col=1)
-    return figure
+    log = {"type": "log", "tickangle": 0}
+    figure.update_xaxes(log | few | {"matches": "x", "showgrid": True}).update_yaxes(log | more)
+    return figure.update_yaxes(title_text="model error over uniform's", col=1)
 
 
 def _bars(of: Interval, colour: str) -> dict[str, Any]:
@@ -163,32 +162,15 @@ def improvement(
 
     A zoom lasts while `keep`, which names the runs, is the same.
     """
-    found = [pair.probability for pair in pairs]
-    value, low, high = np.array([(one.value, one.low, one.high) for one in found]).reshape(-1, 3).T
-    chance = [f"p {pair.p:.2g}, corrected {pair.corrected:.2g}" for pair in pairs]
-    if len(pairs) == 1:
-        chance = [f"p {pairs[0].p:.2g}"]
-    names = [f"{text.plotly(pair.first)} > {text.plotly(pair.second)}" for pair in pairs]
-    labels = [f"{name}<br>{p}" for name, p in zip(names, chance, strict=True)]
-    rows = np.arange(len(pairs))
-    figure = go.Figure(
-        go.Scatter(
-            x=value, y=rows, mode="markers", marker={"size": 10, "color": colours}, text=labels,
-            error_x=_reach(value, low, high), name="probability",
-            hovertemplate="%{text}: %{x:.2f}<extra></extra>", showlegend=False,
-        )
-    )  # fmt: skip
-    ticks = [0, 0.2, 0.4, 0.6, 0.8, 1]
-    return styled(
-        figure,
-        "probability of improvement",
-        height,
-        keep=f"improvement {keep}",
-        marks=[upright(0.5, 1.5, "dash")],
-        x_axis={"range": [-0.03, 1.03], "tickvals": ticks, "showgrid": True},
-        y_axis={"range": [len(pairs) - 0.5, -0.5], "showgrid": False,
-                "tickvals": rows, "ticktext": labels},
-    )  # fmt: skip
+    points = []
+    for pair, colour in zip(pairs, colours, strict=True):
+        p = f"p {pair.p:.2g}" + f", corrected {pair.corrected:.2g}" * (len(pairs) > 1)
+        found, line = pair.probability, f"{pair.first} > {pair.second}\n{p}"
+        points.append(Point(line, "", colour, "circle", found.value, found.low, found.high))
+    shares = {"range": [-0.03, 1.03], "tickvals": [0, 0.2, 0.4, 0.6, 0.8, 1], "showgrid": True}
+    return intervals(
+        points, "probability of improvement", 0.5, height, f"improvement {keep}", shares
+    )
 
 
 def _reach(value: NDArray, low: NDArray, high: NDArray) -> dict[str, Any]:

@@ -6,22 +6,22 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
-from plotly.subplots import make_subplots
 
 from app import text
 from app.figures.base import (
     ENV_STEPS,
-    LAYOUT,
-    X_AXIS,
     Y_AXIS,
     across,
+    band,
     decimate,
     line,
     note,
     octaves,
+    panels,
     relative_scale,
     steps_in_words,
     styled,
+    upright,
 )
 from app.figures.curves import POINTS
 from app.theme import Mode, learner_colour, learner_label, learner_symbol
@@ -47,41 +47,38 @@ Part = tuple[str, Curve, Profiles]
 
 
 def weight_map(
-    profiles: Profiles,
-    mode: Mode,
-    height: int,
-    *,
-    x: str = ENV_STEPS,
-    keep: str = "",
+    profiles: Profiles, mode: Mode, height: int, *, x: str = ENV_STEPS, keep: str = ""
 ) -> go.Figure:
     """Mean weight of each part of the buffer (newest on top) at each fit (x axis).
 
     Colours show log2 of the weight, with uniform in the middle. A zoom lasts while `keep`, the
     run's id, is the same, here and below.
     """
-    fits = spread(len(profiles.env_step), MAP_COLUMNS)
-    steps, bins = profiles.env_step[fits], profiles.bins[fits].T
-    figure = go.Figure(_heatmap(steps, bins, octaves(bins), relative_scale(bins, mode)))
+    heat, thinned = _heatmap(profiles, relative_scale(profiles.bins, mode))
+    figure = go.Figure(heat)
     styled(figure, x, height, keep=f"weight-map {keep}", y_axis=AGES)
-    thinned = len(fits) < len(profiles.env_step)
-    return note(figure, [f"{len(fits)} of {len(profiles.env_step)} fits"] if thinned else [])
+    return note(figure, thinned)
 
 
-def _heatmap(steps: NDArray, bins: NDArray, z: NDArray, scale: Mapping[str, Any]) -> go.Heatmap:
-    """Weights (bins, F) at the steps of fits (F,), coloured by `z`."""
-    edges = steps
-    if len(steps) == 1:  # else the only column would be a step wide beside the returns
-        half = max(LONE_WIDTH * int(steps[0]) / 2, 0.5)
-        edges = (int(steps[0]) - half, int(steps[0]) + half)
-    hover = "step %{x:,}<br>at %{y:.0f} % of the buffer (0: oldest)<br>"
-    return go.Heatmap(
+def _heatmap(profiles: Profiles, scale: Mapping[str, Any]) -> tuple[go.Heatmap, list[str]]:
+    """The weights at every fit, or at some; and that these are some, in words."""
+    count = len(profiles.env_step)
+    fits = spread(count, MAP_COLUMNS)
+    edges, bins = profiles.env_step[fits], profiles.bins[fits].T
+    if count == 1:  # else the only column would be a step wide beside the returns
+        step = int(edges[0])
+        half = max(LONE_WIDTH * step / 2, 0.5)
+        edges = step - half, step + half
+    heat = go.Heatmap(
         x=edges,
         y=bin_centres(len(bins)),
-        z=z,
+        z=octaves(bins),
         customdata=bins,
-        hovertemplate=f"{hover}weight %{{customdata:.3g}}<extra></extra>",
+        hovertemplate="step %{x:,}<br>at %{y:.0f} % of the buffer (0: oldest)<br>"
+        "weight %{customdata:.3g}<extra></extra>",
         **scale,
     )
+    return heat, [f"{len(fits)} of {count} fits"] if len(fits) < count else []
 
 
 def with_returns(figure: go.Figure, curve: Curve) -> go.Figure:
@@ -143,6 +140,30 @@ def on_log_axis(figure: go.Figure, top: float = 1.0) -> go.Figure:
     )
 
 
+def probe_profiles(
+    profiles: Mapping[str, NDArray[np.float64]], random: float, height: int, *, keep: str = ""
+) -> go.Figure:
+    """The median profile over seeds of each learner (S, bins), with the range of its seeds.
+
+    `random` is the share of the buffer, starting with the oldest row, that is random data. A zoom
+    lasts while `keep`, the weighing's name, is the same.
+    """
+    figure = go.Figure()
+    for learner, values in profiles.items():
+        x, median = bin_centres(values.shape[1]), np.median(values, 0)
+        name, colour = text.plotly(learner_label(learner)), learner_colour(learner)
+        if len(values) > 1:
+            figure.add_trace(band(x, values.min(0), values.max(0), colour, name, opacity=0.15))
+        seeds = f"{len(values)} seed{'s' * (len(values) > 1)}"
+        more = {"name": f"{name} ({seeds})", "meta": text.plotly(learner), "legendgroup": name}
+        more |= {"shape": "hvh", "customdata": median}
+        figure.add_trace(line(x, median, colour, 2, f"{name}<br>{WEIGHT_AT}", **more))
+    marks = [across(1, 1.5, "dash")] + [upright(100 * random, 1, "dot")] * (random > 0)
+    kept, y = f"probe {keep}", "mean weight"
+    styled(figure, PLACE, height, keep=kept, marks=marks, y=y, x_axis=AGES)
+    return on_log_axis(figure)
+
+
 def bin_centres(bins: int) -> NDArray[np.float64]:
     """The centres (bins,) of equal parts of the buffer, in % of its age from oldest to newest."""
     return (np.arange(bins) + 0.5) * 100 / bins
@@ -154,21 +175,18 @@ def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
     The axes of all columns are linked. Long curves and many fits are thinned, and the figure says
     so.
     """
-    columns = len(parts)
-    figure = make_subplots(
-        rows=2,
-        cols=columns,
-        column_titles=[text.plotly(name) for name, *_ in parts],
-        horizontal_spacing=0.02,
-        vertical_spacing=0.06,
-    )
+    columns, envs = len(parts), [curve.env for _, curve, _ in parts]
+    kept = " ".join(["side by side", *(curve.run_id for _, curve, _ in parts)])
+    titles = [text.plotly(name) for name, *_ in parts]
+    apart = {"horizontal_spacing": 0.02, "vertical_spacing": 0.06}
+    figure = panels(2, columns, height, kept, column_titles=titles, **apart)
     every = [profiles.bins.ravel() for *_, profiles in parts if len(profiles.bins)]
     scale = relative_scale(np.concatenate(every or [np.ones(1)]), mode)
     scale["colorbar"] |= {"len": 0.48, "y": 0, "yanchor": "bottom"}
     last = max((i for i, (*_, of) in enumerate(parts, 1) if len(of.env_step)), default=0)
     words = [f"returns thinned to {POINTS} points a line"]
     words = words if any(len(curve.step) > POINTS for _, curve, _ in parts) else []
-    for column, (name, curve, profiles) in enumerate(parts, 1):
+    for column, (title, (_, curve, profiles)) in enumerate(zip(titles, parts, strict=True), 1):
         step, value, _ = decimate(curve.step, curve.value, POINTS)
         hover = f"{text.plotly(curve.run_id)}<br>%{{x:,}} steps: %{{y:.4g}}<extra></extra>"
         marker = {"size": 5, "symbol": learner_symbol(curve.learner)}
@@ -180,25 +198,18 @@ def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
             # Without a trace Plotly makes no axes there, and draws the words on the first ones.
             figure.add_trace(go.Scatter(x=[None], y=[None], showlegend=False), 2, column)
             middle = {"x": 0.5, "y": 0.5, "showarrow": False, "opacity": 0.75}
-            axis = columns + column
-            place = {"xref": f"x{axis} domain", "yref": f"y{axis} domain"}
+            place = {f"{of}ref": f"{of}{columns + column} domain" for of in "xy"}
             figure.add_annotation(text="no weights recorded", **place, **middle)
             continue
-        fits = spread(count, MAP_COLUMNS)
-        bins = profiles.bins[fits].T
-        shown = scale | {"showscale": column == last}
-        figure.add_trace(_heatmap(profiles.env_step[fits], bins, octaves(bins), shown), 2, column)
-        if len(fits) < count:
-            words.append(f"{text.plotly(name)}: {len(fits)} of {count} fits")
-    runs = " ".join(curve.run_id for _, curve, _ in parts)
-    layout = LAYOUT | {"margin": LAYOUT["margin"] | {"t": 34}, "height": height}
-    figure.update_layout(**layout, uirevision=f"side by side {runs}")
-    figure.update_xaxes(matches="x", title_text="", **X_AXIS)
-    figure.update_yaxes(**Y_AXIS)
+        heat, thinned = _heatmap(profiles, scale | {"showscale": column == last})
+        figure.add_trace(heat, 2, column)
+        words += [f"{title}: {fits}" for fits in thinned]
+    figure.update_layout(margin={"t": 34})
+    figure.update_xaxes(matches="x")
     for row, first in ((1, "y"), (2, f"y{columns + 1}")):
         figure.update_yaxes(matches=first, showticklabels=False, row=row)
         figure.update_yaxes(showticklabels=True, row=row, col=1)
-    figure.update_xaxes(title_text=steps_in_words(curve.env for _, curve, _ in parts), row=2)
+    figure.update_xaxes(title_text=steps_in_words(envs), row=2)
     figure.update_xaxes(ticks="", showticklabels=False, row=1)
     figure.update_yaxes(title_text="return", row=1, col=1)
     figure.update_yaxes(**AGES, ticks="", row=2)  # else Plotly draws ticks without labels at a map

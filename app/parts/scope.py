@@ -13,7 +13,7 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers
-from app.data.called import names, short_names, task
+from app.data.called import names, task, told_apart
 from app.figures.curves import Look, looks_of
 from app.parts import address, widgets
 from app.parts.component import renderer
@@ -265,7 +265,7 @@ def _rank(run: RunReader, kind: Kind) -> tuple[object, ...]:
 def _list(scope: Scope) -> None:
     """The groups and their runs, each with an eye that shows or hides it."""
     named = {run.run_id for run in scope.runs[:LISTED]}
-    called = short_names(scope.runs)
+    called = told_apart(scope.runs, by_user=True)
     for run in scope.cut_short:
         called[run.run_id] += f", ended at {run.status.env_step:,}: left out"
 

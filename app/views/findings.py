@@ -10,9 +10,8 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import glossary, session, text
 from app.data import studies
-from app.data.every_way import QUESTION, EveryWay, every_ways
 from app.data.studies import QUESTIONS, Study
-from app.data.verdicts import Verdict, verdict
+from app.data.verdicts import EVERY_WAY, Verdict, every_ways, verdict
 from app.figures.statistics import intervals, two_axes
 from app.parts import address, form, jobs, widgets
 from app.parts.plot import chart
@@ -53,7 +52,7 @@ def _cards(listed: Sequence[Study]) -> None:
     each study."""
     for ending, found in every_ways(listed).items():
         with st.container(border=True):
-            st.header(QUESTION, anchor=False)
+            st.header(EVERY_WAY, anchor=False)
             if ending:
                 st.caption(text.markdown(f"footprint{ending}, capacity{ending}"))
             key = f"every way{ending}"
@@ -61,7 +60,7 @@ def _cards(listed: Sequence[Study]) -> None:
             with _judged(found):
                 chart(
                     two_axes(found.panels, 430, key), key, label,
-                    caption=f"{QUESTION} {found.sentence} {found.caption}",
+                    caption=f"{EVERY_WAY} {found.sentence} {found.caption}",
                 )  # fmt: skip
                 st.caption(text.markdown(found.caption), width=WIDE)
     grid = st.container(horizontal=True, key="grid")
@@ -70,7 +69,7 @@ def _cards(listed: Sequence[Study]) -> None:
             _card(study)
 
 
-def _judged(found: Verdict | EveryWay) -> DeltaGenerator:
+def _judged(found: Verdict) -> DeltaGenerator:
     """A verdict in a word and a sentence, a place for its figure, and what speaks against it."""
     st.markdown(f"### {SIGNS[found.word]} {found.word}")
     st.markdown(glossary.linked(text.markdown(found.sentence)))

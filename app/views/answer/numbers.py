@@ -11,11 +11,10 @@ from app import glossary, text
 from app.data import buffer, readers
 from app.data.buffer import Floats
 from app.data.cache import VersionedCache
-from app.data.called import short_names
+from app.data.called import told_apart
 from app.data.exams import Exams, Ranking, Standing, exams_of, middle, ranking
 from app.figures.curves import looks_of
-from app.figures.exams import footprint_error_return
-from app.figures.probe import RunErrors, errors_by_age, focus
+from app.figures.exams import Errors, errors_by_age, focus, footprint_error_return
 from app.parts import widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
@@ -250,7 +249,7 @@ def _recorded(runs: Sequence[RunReader]) -> None:
             )
             if groups:
                 chart(focus(groups, 280, policy), f"focus {words}", "model error by group")
-                drawn = {one.run_id for of in groups.values() for one in of}
+                drawn = {run_id for of in groups.values() for run_id, *_ in of}
                 without = [run for run in runs if run.run_id not in drawn]
                 _left_out(runs, {"not measured": without})
             else:
@@ -262,12 +261,12 @@ def _recorded(runs: Sequence[RunReader]) -> None:
     )
 
 
-def focus_values(runs: Sequence[RunReader], policy: str, other: str) -> dict[str, list[RunErrors]]:
+def focus_values(runs: Sequence[RunReader], policy: str, other: str) -> dict[str, list[Errors]]:
     """The errors of each run, by the name of its group: `policy` and `other`.
 
     Those of its last fit up to the step that every run reaches: errors fall as data come.
     """
-    groups, names = dict[str, list[RunErrors]](), group_names(runs)
+    groups, names = dict[str, list[Errors]](), group_names(runs)
     measured = []
     for run in sorted(runs, key=lambda run: (run.learner, names[run.run_id], run.seed, run.run_id)):
         frame = readers.metrics(run)
@@ -278,8 +277,8 @@ def focus_values(runs: Sequence[RunReader], policy: str, other: str) -> dict[str
     for run, pair in measured:
         values = [value[step <= until] for step, value in pair]
         if all(len(value) for value in values):
-            errors = RunErrors(run.run_id, run.learner, *(float(value[-1]) for value in values))
-            groups.setdefault(names[run.run_id], []).append(errors)
+            last, rest = (float(value[-1]) for value in values)
+            groups.setdefault(names[run.run_id], []).append((run.run_id, run.learner, last, rest))
     return groups
 
 
@@ -295,7 +294,7 @@ def of_like_length(runs: Sequence[RunReader]) -> tuple[list[RunReader], list[Run
 
 def _left_out(runs: Sequence[RunReader], left_out: Mapping[str, Sequence[RunReader]]) -> None:
     """Name the runs that are left out of `runs`, a line for each reason."""
-    called = short_names(runs)
+    called = told_apart(runs, by_user=True)
     for reason, of in left_out.items():
         if of:
             named = text.markdown("; ".join(called[run.run_id] for run in of))

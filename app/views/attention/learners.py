@@ -10,7 +10,7 @@ from app import session, text
 from app.data import buffer, weighings
 from app.data.buffer import Floats
 from app.data.weighings import Dataset, Weighing
-from app.figures.probe import probe_profiles
+from app.figures.weights import probe_profiles
 from app.parts import address, form, jobs, widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
@@ -119,7 +119,7 @@ def _weighed(weighing: Weighing, rows: int) -> None:
             for name, (_, number, words) in COLUMNS.items()
         }
         st.dataframe(
-            _table(weighing.medians, footprints), hide_index=True, width="content",
+            _table(weighing.report["medians"], footprints), hide_index=True, width="content",
             height="content", column_config={"footprint": FOOTPRINT, **shown},
         )  # fmt: skip
         st.caption(f"TOM with {text.markdown(weighing.settings)}. Weights have mean 1.")
@@ -166,7 +166,10 @@ def _table(
         {
             "learner": learner_label(learner),
             **footprint(learner),
-            **{column: found.get(name, np.nan) for column, (name, *_) in COLUMNS.items()},
+            **{
+                column: float(np.array(found.get(name), np.float64))
+                for column, (name, *_) in COLUMNS.items()
+            },
         }
         for learner, found in medians.items()
     )

@@ -14,8 +14,7 @@ from app import glossary, session, text
 from app.data import readers, tables
 from app.data.cache import VersionedCache
 from app.data.called import names, task, told_apart
-from app.figures.curves import group_curves, run_curves, short_title
-from app.figures.ends import label_ends
+from app.figures.curves import group_curves, label_ends, run_curves, short_title
 from app.parts import address, shortlinks, timeline, widgets
 from app.parts.plot import Drawn, Follow, Point, View, chart
 from app.parts.scope import ALIKE, LINES, Scope

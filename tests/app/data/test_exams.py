@@ -19,7 +19,7 @@ def sat(group: str, seed: int, errors: Sequence[float], every: int = 100) -> Exa
     error, none = np.array(errors, np.float64), np.full(len(errors), NAN)
     return Exams(
         f"{group}-{seed}", group.lower(), seed, group, step, error, 2 * error,
-        footprint=none, uniform=none, noise=none, returns=none,
+        footprint=none, noise=none, returns=none,
     )  # fmt: skip
 
 
@@ -37,7 +37,6 @@ def test_exams_are_read_where_one_was_sat() -> None:
     found = exams_of("a", "tom", 3, "TOM", frame)
     assert found.step.tolist() == [100, 200]
     assert found.error.tolist() == [0.5, 0.25]
-    assert found.uniform.tolist() == [0.3, -0.01]
     assert found.telling.tolist() == [True, False]
     assert found.returns.tolist() == [2.0, 3.0]  # not what was evaluated at the fit's own step
     assert np.isnan(found.rollout_error).all()

@@ -1,14 +1,15 @@
 """Findings' words follow from the tables by the stated rule."""
 
-import csv
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from app.data import studies
-from app.data.verdicts import Verdict, verdict
+from app.data.verdicts import Verdict, every_ways, verdict
 
 GALLERY = Path(__file__).parents[3] / "runs" / "studies"
 
@@ -19,31 +20,28 @@ def of(name: str, folder: Path = GALLERY) -> Verdict:
     return found
 
 
-def rows(name: str, table: str, folder: Path = GALLERY) -> list[dict[str, str]]:
-    return list(csv.DictReader((folder / name / table).read_text().splitlines()))
+def read(name: str, table: str) -> Any:
+    return pd.read_csv(GALLERY / name / f"{table}.csv")
 
 
-def test_the_distances_are_medians_over_moments_averaged_over_recordings_and_tasks():
-    moments = rows("footprint", "moments.csv")
-    for line, way in (("TOM mended", "tom-mended"), ("TOM as printed", "tom-discounted")):
-        tasks: dict[str, dict[str, list[float]]] = {}
-        for row in moments:
-            if row["way"] == way and abs(float(row["footprint_noise"])) < 1:  # tells something
-                of_task = tasks.setdefault(row["env"], {})
-                of_task.setdefault(row["recording"], []).append(float(row["footprint"]))
-        typical = [np.mean([np.median(one) for one in of.values()]) for of in tasks.values()]
-        point = next(point for point in of("footprint").points if point.line == line)
-        assert point.value == pytest.approx(np.mean(typical), rel=1e-6)
-        assert point.low < point.value < point.high < 1
+@pytest.mark.parametrize(
+    ("line", "way"), [("TOM mended", "tom-mended"), ("TOM as printed", "tom-discounted")]
+)
+def test_the_distances_are_medians_over_moments_averaged_over_recordings_and_tasks(
+    line: str, way: str
+):
+    moments = read("footprint", "moments")
+    told = moments[(moments["way"] == way) & (moments["footprint_noise"].abs() < 1)]
+    medians = told.groupby(["env", "recording"])["footprint"].median()
+    [point] = [point for point in of("footprint").points if point.line == line]
+    assert point.value == pytest.approx(medians.groupby(level="env").mean().mean(), rel=1e-6)
+    assert point.low < point.value < point.high < 1
     assert of("footprint").word == "Yes"
 
 
 def test_the_least_p_is_corrected_for_all_tests_that_are_shown():
-    shown = [
-        float(row["p"])
-        for row in rows("capacity", "head-to-head.csv")
-        if row["against"] == "uniform"
-    ]
+    table = read("capacity", "head-to-head")
+    shown = table.loc[table["against"] == "uniform", "p"]
     found = of("capacity")
     assert found.word == "In part"  # small models gain, the paper's loses
     assert len(found.points) == len(shown)
@@ -52,7 +50,7 @@ def test_the_least_p_is_corrected_for_all_tests_that_are_shown():
 
 def test_a_study_without_tom_is_judged_by_the_ways_it_has():
     found = of("capacity-ways")
-    assert {point.learner for point in found.points} == {"policy-distance", "pmer"}
+    assert {point.series for point in found.points} == {"policy distance", "PMER"}
     assert found.word == "No"  # one errs more, the other no less
     assert of("footprint-ways").word == "Yes"
 
@@ -63,26 +61,18 @@ def test_a_study_without_tom_is_judged_by_the_ways_it_has():
 )
 def test_returns_are_judged_by_the_corrected_p(tmp_path: Path, wins: float, p: float, word: str):
     shutil.copytree(GALLERY / "returns", tmp_path / "returns")
-    table = rows("returns", "improvement.csv", tmp_path)
-    for row in table:
-        if row["learner"].startswith("TOM"):
-            row |= {"wins": str(wins), "p of all": str(p)}
-    with (tmp_path / "returns" / "improvement.csv").open("w") as file:
-        writer = csv.DictWriter(file, list(table[0]))
-        writer.writeheader()
-        writer.writerows(table)
+    table = read("returns", "improvement")
+    table.loc[table["learner"].str.startswith("TOM"), ["wins", "p of all"]] = wins, p
+    table.to_csv(tmp_path / "returns" / "improvement.csv", index=False)
     assert of("returns", tmp_path).word == word
 
 
 def test_no_trial_s_share_is_beyond_chance():
     found = of("improvement")
     assert found.word == "No difference seen"
-    shares = [
-        float(row["better in trials"]) / float(row["n"])
-        for row in rows("improvement", "summary.csv")
-        if row["p"]
-    ]
-    assert [point.value for point in found.points] == pytest.approx(shares)
+    table = read("improvement", "summary").dropna(subset="p")
+    shares = table["better in trials"] / table["n"]
+    assert [point.value for point in found.points] == pytest.approx([*shares])
 
 
 @pytest.mark.parametrize(
@@ -133,3 +123,59 @@ def test_a_study_without_a_rule_or_with_other_tables_has_no_verdict(tmp_path: Pa
     for name in ("footprint", "online"):
         (tmp_path / name / "summary.csv").write_text("a,b\n1,2\n")
     assert [verdict(study) for study in studies.listing(tmp_path)] == [None, None]
+
+
+KEY = ["env", "recording", "step"]
+
+
+def over_recordings(of_moments: Any, env: str, way: str) -> Any:
+    """Mean, least and most of the medians over each recording's moments."""
+    medians = of_moments.groupby(level=["env", "recording"]).median()
+    return medians.groupby(level="env").agg(["mean", "min", "max"]).loc[env, way]
+
+
+def test_a_way_stands_at_its_mean_over_recordings_with_their_spread():
+    near = read("footprint", "moments")
+    near = near[near["footprint_noise"].abs() < 1].pivot(index=KEY, columns="way")["footprint"]
+    errs = read("capacity", "moments").pivot(index=KEY, columns="way")["error 200 x 4"]
+    errs = errs.div(errs["uniform"], axis=0).apply(np.log)
+    n = errs.groupby(level="env").size()
+    assert {panel.env for panel in every_ways(studies.listing(GALLERY))[""].panels} == {*n.index}
+    for panel in every_ways(studies.listing(GALLERY))[""].panels:
+        assert panel.moments == n[panel.env]
+        assert {one.way for one in panel.ways} == {*near} & {*errs}
+        for one in panel.ways:
+            for found, table in ((one.distance, near), (one.error, errs)):
+                ends = over_recordings(table, panel.env, one.way)
+                value, least, most = np.exp(ends) if table is errs else ends
+                assert found.value == pytest.approx(value)
+                if panel.recordings == 2:  # all resamples of two lie between them, some on them
+                    assert (found.low, found.high) == pytest.approx((least, most))
+                assert least - 1e-9 <= found.low <= found.high <= most + 1e-9
+
+
+@pytest.mark.parametrize(("error", "word"), [(0.01, "Yes"), (100, "No"), (1, "In part")])
+def test_the_answer_is_yes_where_a_way_is_better_on_both_axes(
+    tmp_path: Path, error: float, word: str
+):
+    for name in ("footprint", "capacity"):
+        shutil.copytree(GALLERY / name, tmp_path / name)
+    table = pd.read_csv(tmp_path / "capacity" / "moments.csv")
+    table.loc[table["way"] != "uniform", "error 200 x 4"] *= error
+    table.to_csv(tmp_path / "capacity" / "moments.csv", index=False)
+    found = every_ways(studies.listing(tmp_path))[""]
+    assert found.word == word
+    assert "VaGram" in found.caption  # no model was fitted with its weights
+    near = pd.read_csv(tmp_path / "footprint" / "moments.csv")
+    near[near["env"] == "hopper"].to_csv(tmp_path / "footprint" / "moments.csv", index=False)
+    assert [panel.env for panel in every_ways(studies.listing(tmp_path))[""].panels] == ["hopper"]
+    (tmp_path / "footprint" / "moments.csv").write_text("way\nuniform\n")  # of another version
+    assert not every_ways(studies.listing(tmp_path))
+
+
+def test_studies_whose_names_end_alike_belong_together(tmp_path: Path):
+    for name, ending in (("footprint", ""), ("footprint", "-b"), ("capacity", "-b")):
+        shutil.copytree(GALLERY / name, tmp_path / f"{name}{ending}")
+    listed = studies.listing(tmp_path)
+    assert [*every_ways(listed)] == ["-b"]
+    assert every_ways(listed)["-b"] == every_ways(studies.listing(GALLERY))[""]

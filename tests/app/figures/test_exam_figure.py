@@ -17,7 +17,6 @@ TOM = Exams(
     error=np.array([0.5, 0.25, 0.125]),
     rollout_error=np.array([1.0, 0.5, NAN]),
     footprint=np.array([0.75, -8.0, 1.25]),
-    uniform=np.array([0.5, 0.01, 0.5]),
     noise=np.array([0.25, -10.0, -0.5]),
     returns=np.array([10.0, 20.0, NAN]),
 )  # fmt: skip

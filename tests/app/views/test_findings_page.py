@@ -15,8 +15,7 @@ from studio_pages import Show, draw, figures
 from studio_runs import PENDULUM_TOM, change
 
 from app.data import readers, studies
-from app.data.every_way import every_way
-from app.data.verdicts import verdict
+from app.data.verdicts import every_way, verdict
 from app.links import Links
 from app.parts import jobs
 from app.servers.pages import routes

@@ -8,7 +8,7 @@ from studio_pages import array, draw, figures, parts, trace
 from studio_runs import ROAD_MLE, ROAD_TOM, altered, info
 
 from app.data import road
-from app.data.called import names, short_names, task, told_apart
+from app.data.called import names, task, told_apart
 from app.theme import COLUMNS, DIVERGING, rgb
 from tom.readable import percent
 from tom.record.reader import RunReader
@@ -60,7 +60,7 @@ def test_runs_that_would_be_called_the_same_are_told_apart(store: Path) -> None:
     other = altered(twin, settings={**twin.settings, "tom.flow": "restart"})
     ours = info(store, ROAD_TOM)
     named = [altered(run, labels=Labels(name="the good one")) for run in (ours, other)]
-    assert short_names([*named, mle]) == {
+    assert told_apart([*named, mle], by_user=True) == {
         ROAD_TOM: "the good one",
         "twin": "the good one, tom.flow restart",
         ROAD_MLE: "MLE s0",
