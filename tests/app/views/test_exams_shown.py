@@ -112,7 +112,7 @@ def learners(errors: Mapping[str, list[float]]) -> list[Exams]:
     none = np.full(1, np.nan)
     return [
         Exams(f"{name}-{seed}", name.lower(), seed, name, np.array([100]), np.array([error]),
-              none, none, none, none, none)
+              none, none, none, none)
         for name, values in errors.items()
         for seed, error in enumerate(values)
     ]  # fmt: skip
