@@ -95,10 +95,14 @@ def _dataset_id(report: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Weighing:
-    """One result of `tom weigh` or `tom brush`: a folder and its report."""
+    """One result of `tom weigh` or `tom brush`: a folder and its report.
+
+    Live weights of a loop's buffer at one fit are like one; their `columns` are in no file there.
+    """
 
     path: Path
     report: Mapping[str, Any]
+    columns: Mapping[str, NDArray] | None = None
 
     @property
     def name(self) -> str:
@@ -134,33 +138,24 @@ class Weighing:
         return weighing_files.is_brush(self.report)
 
     @property
-    def learners(self) -> frozenset[str]:
-        return frozenset(result["learner"] for result in self.report["results"])
-
-    @property
-    def notices(self) -> list[str]:
-        """What the learners noticed about their weights."""
-        return weighing_files.notices(self.report)
-
-    @property
     def card(self) -> str:
         """The facts of the data in one line; empty in older reports."""
         return sentence(self.report.get("card", {}))
 
     @property
-    def keeps_rows(self) -> bool:
-        """Whether its folder holds the weighed rows, and no run's `step` counts them."""
-        return ROWS in self.report
+    def counted_by_step(self) -> bool:
+        """Whether a run's `step` counts its rows, which its folder does not hold."""
+        return self.step is not None and ROWS not in self.report
 
     @property
     def end(self) -> int:
         """The number of the transition after the last weighed one, of the run or of its rows."""
-        return self.rows if self.step is None or self.keeps_rows else self.step
+        return self.report["step"] if self.counted_by_step else self.rows
 
     @property
     def settings(self) -> str:
         """TOM's settings of the weighing, in words."""
-        preset = self.report.get("preset", "?")
+        preset = self.report["preset"]
         words = "the run's own settings" if preset == "own" else f"its preset {preset}"
         changed = self.report.get("changed", {})
         changes = ", ".join(f"{path} {value}" for path, value in changed.items())
@@ -168,7 +163,7 @@ class Weighing:
 
     def missing(self, rows: int) -> str:
         """In words, what it leaves out of a buffer of `rows` transitions; empty if nothing."""
-        if self.step is not None and not self.keeps_rows:
+        if self.counted_by_step:
             return (
                 f"It weighs the {self.rows:,} transitions that the buffer held at step "
                 f"{self.step:,}, of {rows:,} that were collected."
@@ -180,7 +175,7 @@ class Weighing:
             "since."
         )
 
-    def table(self) -> dict[str, NDArray]:
+    def table(self) -> Mapping[str, NDArray]:
         """The columns (N,) of its weights and their terms; empty if they cannot be read."""
 
         def read() -> dict[str, NDArray]:
@@ -190,14 +185,17 @@ class Weighing:
                 return {}
             return {str(name): np.array(table[name]) for name in table}
 
+        if self.columns is not None:
+            return self.columns
         return _TABLES.get(self.path, read, modified(self.path / WEIGHTS))
 
     def weights(self) -> dict[tuple[str, int], NDArray[np.float32]]:
         """The weights (N,) by learner and seed; empty if they cannot be read."""
+        parts = {column: column.rpartition("-s") for column in self.table()}
         return {
-            whose: values.astype(np.float32, copy=False)
-            for column, values in self.table().items()
-            if (whose := _learner_and_seed(column)) is not None
+            (learner, seed): self.table()[column].astype(np.float32, copy=False)
+            for column, (learner, _, words) in parts.items()
+            if learner and (seed := text.whole(words)) is not None
         }
 
     @property
@@ -207,26 +205,18 @@ class Weighing:
         return None if found is None else found.astype(np.float64)
 
     @property
-    def medians(self) -> dict[str, dict[str, float]]:
-        """By learner the medians over its seeds; NaN where nothing was measured."""
-        return {
-            learner: {name: _number(value) for name, value in of.items()}
-            for learner, of in self.report["medians"].items()
-        }
-
-    @property
     def footprints(self) -> dict[str, NDArray[np.float64]]:
         """By learner the footprint and its standard error for each seed, (S, 2).
 
         At 1 the weighted buffer is as far from fresh episodes of the policy as the unweighted one.
         Empty if none was measured.
         """
-        measured: dict[str, list[tuple[float, float]]] = {}
+        measured: dict[str, list[tuple[float, float | None]]] = {}
         for result in self.report["results"]:
             if (footprint := result.get("footprint")) is not None:
-                pair = float(footprint), _number(result.get("footprint_se"))
+                pair = footprint, result.get("footprint_se")
                 measured.setdefault(result["learner"], []).append(pair)
-        return {learner: np.array(pairs) for learner, pairs in measured.items()}
+        return {learner: np.array(pairs, np.float64) for learner, pairs in measured.items()}
 
 
 _TABLES: VersionedCache[dict[str, NDArray]] = VersionedCache()
@@ -243,36 +233,40 @@ def profiles(of: Mapping[tuple[str, int], NDArray]) -> dict[str, NDArray[np.floa
 
 def weighed(store: str) -> set[str]:
     """The ids of the runs whose buffers have been weighed by learners."""
-    found = [Weighing(path, report) for path, report in reports(Path(store))]
-    return {one.report["data"] for one in found if not (one.brush or one.keeps_rows)}
+    found = (report for _, report in reports(Path(store)) if ROWS not in report)
+    return {report["data"] for report in found if not weighing_files.is_brush(report)}
 
 
-def of_run(run: RunReader, rows: int) -> list[Weighing]:
+def of_run(run: RunReader, rows: int, *, brush: bool = False) -> list[Weighing]:
     """Learners' weighings of the buffer of a run (or data set) of `rows` rows, newest first.
 
-    A resumed run has more rows than were weighed: the weighed ones are the first. Weighings of
-    other data are left out.
+    Or brushes of it. A resumed run has more rows than were weighed: the weighed ones are the first.
+    Weighings of other data are left out.
     """
-    return [weighing for weighing in _of_run(run, rows) if not weighing.brush]
+    of_data = isinstance(run, Dataset)
+    store = run.path.parents[1] if of_data else run.home.parent
+    found = [
+        Weighing(path, report)
+        for path, report in reports(store)
+        if (ROWS in report) == of_data
+        and run.run_id == (_dataset_id(report) if of_data else report["data"])
+        and weighing_files.is_brush(report) == brush
+    ]
+    kept = [one for one in found if 0 <= one.ordered_from < one.rows <= rows]
+    return sorted(kept, key=lambda one: one.written, reverse=True)
+
+
+def brushes(run: RunReader, rows: int) -> list[Weighing]:
+    """The results of `tom brush`, like `of_run`."""
+    return of_run(run, rows, brush=True)
 
 
 def every(run: RunReader, rows: int) -> list[Weighing]:
     """Those of `of_run`; in front of them the live weights of a loop's buffer, if it has any."""
-    live = live_weights(run) if run.own_loop else None
-    return [*([live] if live else ()), *of_run(run, rows)]
+    return [*(live_weights(run) if run.own_loop else ()), *of_run(run, rows)]
 
 
-@dataclass(frozen=True)
-class LiveWeights(Weighing):
-    """Live weights of a loop's buffer by its learners, at one fit, as `tom weigh` would give."""
-
-    columns: Mapping[str, NDArray]
-
-    def table(self) -> dict[str, NDArray]:
-        return dict(self.columns)
-
-
-def live_weights(run: RunReader) -> LiveWeights | None:
+def live_weights(run: RunReader) -> list[Weighing]:
     """Those of the last fit that all learners keep: of one with exams, if there is any."""
     found = run.live()
     kept = [set(live.snapshot_steps()) for live in found.values()]
@@ -281,7 +275,7 @@ def live_weights(run: RunReader) -> LiveWeights | None:
         for step in (set.intersection(*kept) if kept else ())
     }
     if not exams:
-        return None
+        return []
     step = max(exams, key=lambda step: (all(exams[step].values()), step))
     weights = {
         name: live.snapshot(step)["weight"].to_numpy(copy=True) for name, live in found.items()
@@ -297,36 +291,7 @@ def live_weights(run: RunReader) -> LiveWeights | None:
         "medians": {name: medians([progression(of, 0)]) for name, of in weights.items()},
     }  # fmt: skip
     columns = {f"{name}-s{run.seed}": of for name, of in weights.items()}
-    return LiveWeights(run.path / "live", report, columns)
-
-
-def brushes(run: RunReader, rows: int) -> list[Weighing]:
-    """The results of `tom brush`, like `of_run`."""
-    return [weighing for weighing in _of_run(run, rows) if weighing.brush]
-
-
-def _of_run(run: RunReader, rows: int) -> list[Weighing]:
-    of_data = isinstance(run, Dataset)
-    store = run.path.parents[1] if of_data else run.home.parent
-    found = [
-        Weighing(path, report)
-        for path, report in reports(store)
-        if (ROWS in report) == of_data
-        and run.run_id == (_dataset_id(report) if of_data else report["data"])
-    ]
-    kept = [one for one in found if 0 <= one.ordered_from < one.rows <= rows]
-    return sorted(kept, key=lambda one: one.written, reverse=True)
-
-
-def _learner_and_seed(column: str) -> tuple[str, int] | None:
-    """`tom-s1` -> (tom, 1); None for a column of something else."""
-    learner, _, seed = column.rpartition("-s")
-    number = text.whole(seed)
-    return (learner, number) if learner and number is not None else None
-
-
-def _number(value: float | None) -> float:
-    return np.nan if value is None else float(value)
+    return [Weighing(run.path / "live", report, columns)]
 
 
 @dataclass(frozen=True)
@@ -346,6 +311,12 @@ class Brushed:
         """All factors except 1."""
         return sorted({f for of in self.errors.values() for f in of} - {1.0})
 
+    def change(self, region: str, factor: float) -> NDArray[np.float64]:
+        """The model's error (S,) for each seed, relative to the original weights; maybe empty."""
+        of = self.errors.get(region, {})
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.array(of.get(factor, [])) / np.array(of.get(1.0, []))
+
 
 def brushed(brush: Weighing) -> Brushed | None:
     """A brushed region; None if its files cannot be read."""
@@ -354,8 +325,8 @@ def brushed(brush: Weighing) -> Brushed | None:
         region = read_table(brush.path / WEIGHTS)[REGION].to_numpy()
         for result in brush.report["results"]:
             for name, error in result["errors"].items():
-                of_factor = errors.setdefault(name, {})
-                of_factor.setdefault(float(result["factor"]), []).append(_number(error))
+                of_seeds = errors.setdefault(name, {}).setdefault(float(result["factor"]), [])
+                of_seeds.append(np.nan if error is None else float(error))
         model = {name: int(brush.report[BRUSH]["model"][name]) for name in ("layers", "hidden")}
         step = int(brush.report["step"])
     except (AttributeError, *DAMAGE):

@@ -11,11 +11,12 @@ from app.data.buffer import Floats, Rows
 from app.data.buffer_map import Source
 from app.data.cache import VersionedCache
 from app.data.readers import reader
+from app.data.weighings import Weighing
 from tom.analysis import why
 from tom.analysis.imagine import stored_model
 from tom.analysis.weighing import load_policy, made_anew
 from tom.analysis.why import Near, Sum
-from tom.config import OnlineConfig, RunConfig, TomConfig
+from tom.config import OnlineConfig, TomConfig
 from tom.data.transitions import TensorTransitions, Transitions
 from tom.dynamics.neural import NeuralDynamics
 from tom.envs import ENVS, task
@@ -43,7 +44,6 @@ class Why:
     whose: str
     policy_rows: TensorTransitions  # (M,) the discriminator's rows of the policy
     among: Tensor  # (M,) the rows of the buffer that these are; (0,) if they were made anew
-    step: int | None  # of the fit or weighing; None: all that the run collected
 
     def sum_of(self, row: int) -> Sum:
         """The terms of a row."""
@@ -66,16 +66,14 @@ def _why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
     if learner not in WITH_TERMS:
         whose = " and ".join(f"{LEARNERS[name].label}'s" for name in WITH_TERMS)
         return f"only {whose} weights are such a sum, and these are of {learner}"
-    if made is None:
-        frame = reader(run).snapshot(int(source.label))
-        prefix, table = "", {str(name): frame[name].to_numpy() for name in frame}
-    else:
-        prefix, table = f"{source.column}-", made.table()
+    prefix = "" if made is None else f"{source.column}-"
+    table = reader(run).snapshot(int(source.label)) if made is None else made.table()
     names = [name for name in Terms.named() if prefix + name in table]
-    terms = of_recorded({name: torch.tensor(table[prefix + name]) for name in names})
+    terms = of_recorded({name: torch.tensor(np.array(table[prefix + name])) for name in names})
     if terms is not None:
         try:
-            return _of_fit(run, rows, terms) if made is None else _of_weighing(run, source, terms)
+            of = _of_fit(run, rows) if made is None else _of_weighing(run, source, made)
+            return Why(terms, *of)
         except (UserError, OSError, ValueError, KeyError) as error:
             return str(error)
     if np.ptp(rows.weight) == 0:
@@ -86,34 +84,31 @@ def _why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
     )
 
 
-def _of_fit(run: RunReader, rows: Rows, terms: Terms) -> Why:
+def _of_fit(run: RunReader, rows: Rows) -> tuple[TomConfig, str, TensorTransitions, Tensor]:
+    """What belongs to the terms of a run's own fit; the policy's rows are the buffer's newest."""
     config = recorded_config(run)
-    tom: TomConfig = config.tom  # pyright: ignore[reportAttributeAccessIssue]
-    among, end = _policy_rows(config, run, rows), rows.first + len(rows)
-    return Why(terms, tom, "the run's own fit", rows.rows.torch()[among], among, end)
-
-
-def _of_weighing(run: RunReader, source: Source, terms: Terms) -> Why:
-    made = source.weighing
-    assert made is not None
-    tom = TomConfig.model_validate(made.report["config"]["tom"])
-    known = task(run.env)
-    policy = load_policy(made.policy, Store(run.home.parent), known, made.step)
-    seed, count = int(source.column.rpartition("-s")[2]), int(made.report["footprint"])
-    anew = made_anew(known, policy, count, seed).transitions.torch()
-    return Why(terms, tom, f"the weighing {made.name}", anew, torch.arange(0), made.step)
-
-
-def _policy_rows(config: RunConfig, run: RunReader, rows: Rows) -> Tensor:
-    """The rows (M,) of the buffer that were the policy's in a run's own fit."""
     if isinstance(config, OnlineConfig):
         taken = max(rows.first + len(rows) - config.exploration_steps, 0)
         newest = min(taken, config.policy_capacity, len(rows))
-        return torch.arange(len(rows) - newest, len(rows))
-    shown = reader(run).field("data", 0).get("footprint")
-    if shown is None:
-        raise UserError("which of its rows are the policy's was not kept")
-    return torch.from_numpy(np.flatnonzero(shown))
+        among = torch.arange(len(rows) - newest, len(rows))
+    else:
+        shown = reader(run).field("data", 0).get("footprint")
+        if shown is None:
+            raise UserError("which of its rows are the policy's was not kept")
+        among = torch.from_numpy(np.flatnonzero(shown))
+    tom: TomConfig = config.tom  # pyright: ignore[reportAttributeAccessIssue]
+    return tom, "the run's own fit", rows.rows.torch()[among], among
+
+
+def _of_weighing(
+    run: RunReader, source: Source, made: Weighing
+) -> tuple[TomConfig, str, TensorTransitions, Tensor]:
+    """What belongs to the terms of a weighing, for which the policy's rows were made anew."""
+    tom, known = TomConfig.model_validate(made.report["config"]["tom"]), task(run.env)
+    policy = load_policy(made.policy, Store(run.home.parent), known, made.step)
+    seed, count = int(source.column.rpartition("-s")[2]), int(made.report["footprint"])
+    anew = made_anew(known, policy, count, seed).transitions.torch()
+    return tom, f"the weighing {made.name}", anew, torch.arange(0)
 
 
 @dataclass(frozen=True)
@@ -146,17 +141,17 @@ def neighbours(rows: Rows, found: Why, row: int) -> Neighbours:
     return Neighbours(near, policy_rows[near.index].numpy(), usual, own)
 
 
-def starts(run: RunReader, rows: Rows, row: int) -> tuple[float, float] | str:
-    """The expected number of a fit's rollouts that start in a row, or why it is unknown.
+def starts(run: RunReader, rows: Rows, row: int) -> tuple[float, float] | None:
+    """The expected number of a fit's rollouts that start in a row, and of one of weight 1.
 
-    Beside it that of a row of weight 1.
+    None if the settings of the run's rollouts are those of another version.
     """
     try:
         settings = getattr(recorded_config(run), "rollout", None)
     except UserError:
         settings = None
     if settings is None:
-        return "the settings of this run's rollouts are those of another version"
+        return None
     part = reader(run)
     # Weights of dimensions scale the loss, and draw nothing.
     weighs_dimensions = DIMENSIONS in run.left_out or any(
@@ -176,39 +171,37 @@ class Rollouts:
     own: bool  # whether the policy is that of the step that was asked for, not the run's last
 
 
+_ROLLOUTS: VersionedCache[Rollouts | str] = VersionedCache()
+
+
 def rollouts(run: RunReader, rows: Rows, row: int, step: int) -> Rollouts | str:
     """Rollouts from a row by the policy of `step`, or by the run's last if that was not kept.
 
     A text with the reason if there are none.
     """
-    version = run.version("model"), run.version("policies", step), run.has_policy()
-    key = run.path, rows.first + row, step, version
-    return _ROLLOUTS.get(key, lambda: _rollouts(run, rows, row, step))
 
-
-_ROLLOUTS: VersionedCache[Rollouts | str] = VersionedCache()
-
-
-def _rollouts(run: RunReader, rows: Rows, row: int, step: int) -> Rollouts | str:
-    if run.env not in ENVS:
-        return f"they are drawn for the built-in tasks, and {run.env} is none of them"
-    try:
-        known, kept = task(run.env), stored_model(run)
+    def make() -> Rollouts | str:
+        if run.env not in ENVS:
+            return f"they are drawn for the built-in tasks, and {run.env} is none of them"
         policy_step = step if run.has_policy(step) else None
         if not run.has_policy(policy_step):
             return "the policy of this fit was not kept, and the run has no last one"
-        policy = load_policy(str(run.path), Store(run.home.parent), known, policy_step)
-    except UserError as error:
-        return str(error)
-    if not isinstance(kept.predictor, NeuralDynamics):
-        return "its model draws no samples"
-    start = torch.as_tensor(np.asarray(rows.rows.obs)[row])
-    generator = torch.Generator().manual_seed(0)
-    paths = why.rollouts(
-        kept.predictor, policy, known.terminated, start, STEPS, ROLLOUTS, generator
-    )
-    own = policy_step is not None or step == reader(run).buffer_length()
-    return Rollouts(paths.numpy().astype(np.float64), kept.env_step, own)
+        try:
+            known, kept = task(run.env), stored_model(run)
+            policy = load_policy(str(run.path), Store(run.home.parent), known, policy_step)
+        except UserError as error:
+            return str(error)
+        if not isinstance(kept.predictor, NeuralDynamics):
+            return "its model draws no samples"
+        start, generator = rows.rows.torch().obs[row], torch.Generator().manual_seed(0)
+        paths = why.rollouts(
+            kept.predictor, policy, known.terminated, start, STEPS, ROLLOUTS, generator
+        )
+        own = policy_step is not None or step == reader(run).buffer_length()
+        return Rollouts(paths.numpy().astype(np.float64), kept.env_step, own)
+
+    version = run.version("model"), run.version("policies", step), run.has_policy()
+    return _ROLLOUTS.get((run.path, rows.first + row, step, version), make)
 
 
 def recorded_after(rows: Rows, row: int) -> NDArray[np.float32]:

@@ -1,6 +1,7 @@
 """The exams of fits, their footprints, errors and next returns; and models' errors in sample."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -91,10 +92,10 @@ def errors_by_age(
         parts = np.array_split(error, min(bins, len(error)))
         means, colour = [part.mean() for part in parts], learner_colour(learner)
         hover = f"{text.plotly(name)}<br>{AT_AGE}<br>error %{{y:.3g}}<extra></extra>"
-        more = {"name": text.plotly(name), "mode": "lines+markers"}
+        more: dict[str, Any] = {"name": text.plotly(name), "mode": "lines+markers"}
         more |= {"marker": {"size": 5, "symbol": learner_symbol(learner)}}
         figure.add_trace(line(bin_centres(len(parts)), means, colour, 2, hover, dash=dash, **more))
-    lone = {"showlegend": True}  # a single line may be of another run than the buffer
+    lone: dict[str, Any] = {"showlegend": True}  # a single one may be of another run
     zero, kept = {"rangemode": "tozero"}, f"errors by age {keep}"
     y = "one-step error (std)"
     return styled(figure, PLACE, height, keep=kept, y=y, x_axis=AGES, y_axis=zero, **lone)

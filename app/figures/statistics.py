@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
@@ -141,32 +142,18 @@ def _bars(of: Interval, colour: str) -> dict[str, Any]:
     return _reach(value, low, high) | {"color": faded(colour, 0.55), "width": 3}
 
 
-@dataclass(frozen=True)
-class Improvement:
-    """How often a run of the first group beats a run of the second, and the p of that.
-
-    `corrected` is that p among the other pairs'.
-    """
-
-    first: str
-    second: str
-    probability: Interval
-    p: float
-    corrected: float
-
-
-def improvement(
-    pairs: Sequence[Improvement], colours: Sequence[str], height: int, keep: str
-) -> go.Figure:
+def improvement(pairs: pd.DataFrame, colours: Sequence[str], height: int, keep: str) -> go.Figure:
     """P(a run of the first beats a run of the second) for each pair, with its interval and p.
 
-    A zoom lasts while `keep`, which names the runs, is the same.
+    A row of `pairs` has `first`, `second`, `probability`, `low`, `high`, `p` and `p corrected` for
+    their number. A zoom lasts while `keep`, which names the runs, is the same.
     """
     points = []
-    for pair, colour in zip(pairs, colours, strict=True):
-        p = f"p {pair.p:.2g}" + f", corrected {pair.corrected:.2g}" * (len(pairs) > 1)
-        found, line = pair.probability, f"{pair.first} > {pair.second}\n{p}"
-        points.append(Point(line, "", colour, "circle", found.value, found.low, found.high))
+    for pair, colour in zip(pairs.to_dict("records"), colours, strict=True):
+        p = f"p {pair['p']:.2g}" + f", corrected {pair['p corrected']:.2g}" * (len(pairs) > 1)
+        ends = pair["probability"], pair["low"], pair["high"]
+        line = f"{pair['first']} > {pair['second']}\n{p}"
+        points.append(Point(line, "", colour, "circle", *ends))
     shares = {"range": [-0.03, 1.03], "tickvals": [0, 0.2, 0.4, 0.6, 0.8, 1], "showgrid": True}
     return intervals(
         points, "probability of improvement", 0.5, height, f"improvement {keep}", shares

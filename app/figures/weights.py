@@ -155,8 +155,8 @@ def probe_profiles(
         if len(values) > 1:
             figure.add_trace(band(x, values.min(0), values.max(0), colour, name, opacity=0.15))
         seeds = f"{len(values)} seed{'s' * (len(values) > 1)}"
-        more = {"name": f"{name} ({seeds})", "meta": text.plotly(learner), "legendgroup": name}
-        more |= {"shape": "hvh", "customdata": median}
+        more: dict[str, Any] = {"name": f"{name} ({seeds})", "meta": text.plotly(learner)}
+        more |= {"legendgroup": name, "shape": "hvh", "customdata": median}
         figure.add_trace(line(x, median, colour, 2, f"{name}<br>{WEIGHT_AT}", **more))
     marks = [across(1, 1.5, "dash")] + [upright(100 * random, 1, "dot")] * (random > 0)
     kept, y = f"probe {keep}", "mean weight"

@@ -26,13 +26,6 @@ def factor_in_words(factor: float) -> str:
     return f"x {readable.factor(factor)}"
 
 
-def change(brushed: Brushed, region: str, factor: float) -> np.ndarray:
-    """The model's error (S,) for each seed, relative to the original weights."""
-    of = brushed.errors[region]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.array(of[factor]) / np.array(of[1.0])
-
-
 def error_bars(brushed: Brushed, height: int, mode: Mode) -> go.Figure:
     """One group of bars per region, one bar per factor: the mean over seeds and the range.
 
@@ -42,7 +35,7 @@ def error_bars(brushed: Brushed, height: int, mode: Mode) -> go.Figure:
     regions = [name for name in NAMES if name in brushed.errors]
     colours = ramp(len(brushed.factors), mode)
     for factor, colour in zip(brushed.factors, colours, strict=True):
-        ratios = [change(brushed, name, factor) for name in regions]
+        ratios = [brushed.change(name, factor) for name in regions]
         measured = [r[np.isfinite(r)] for r in ratios]
         means, least, most = (
             np.array([of(r) if len(r) else np.nan for r in measured])

@@ -26,6 +26,7 @@ from app.views.attention import why
 from tom.envs import ROAD
 from tom.frames import Run, read_weighing
 from tom.record.reader import RunReader, at_or_before
+from tom.reports.weighing_files import notices
 
 STAGE_HEIGHT, MOMENT_HEIGHT = 560, 150
 SHOWN, GAP = 9, 10
@@ -68,7 +69,7 @@ def say_of(weighing: Weighing, rows: int, *facts: str) -> None:
     for words in (weighing.missing(rows), *facts):
         if words:
             st.caption(words)
-    for notice in weighing.notices:
+    for notice in notices(weighing.report):
         st.warning(text.markdown(notice), icon=":material/warning:")
 
 

@@ -17,7 +17,7 @@ from app.data.buffer_map import Source
 from app.data.selection import Mask
 from app.data.weighings import Brushed
 from app.data.why import Why
-from app.figures.why import NAMES, change, error_bars, factor_in_words, rollout_lines, waterfall
+from app.figures.why import NAMES, error_bars, factor_in_words, rollout_lines, waterfall
 from app.parts import address, jobs, widgets
 from app.parts.plot import chart
 from app.scenes.film import ghosts
@@ -147,7 +147,7 @@ def _rollouts(run: RunReader, rows: Rows, row: int) -> None:
     st.markdown("**The rollouts that start there**")
     begun = reasons.starts(run, rows, row)
     step = rows.first + len(rows)
-    if not isinstance(begun, str):
+    if begun is not None:
         here, usual = begun
         st.caption(
             f"Of each round's rollouts about {here:,.2f} start in this state; {usual:,.2f} would "
@@ -300,7 +300,7 @@ def in_words(brushed: Brushed) -> str:
     for factor in brushed.factors:
         parts = []
         for region, name in NAMES.items():
-            ratio = change(brushed, region, factor) if region in brushed.errors else np.array([])
+            ratio = brushed.change(region, factor)
             ratio = ratio[np.isfinite(ratio)]
             if not len(ratio):
                 continue

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from app import text
 from app.data.tables import default_level, reached
 from app.figures.curves import Look
-from app.figures.statistics import Improvement, Profile, improvement, profiles
+from app.figures.statistics import Profile, improvement, profiles
 from app.parts import address, widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
@@ -158,16 +158,14 @@ def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) ->
         st.caption("One group alone has nobody to be better than.")
         return pd.DataFrame()
     ps = [statistics.exchangeable([scores[i]], [scores[j]]) for i, j in both]
-    pairs = [
-        Improvement(
-            looks[i].title,
-            looks[j].title,
-            statistics.probability_of_improvement([scores[i]], [scores[j]]),
-            p,
-            of_all,
-        )
-        for (i, j), p, of_all in zip(both, ps, statistics.corrected(ps), strict=True)
-    ]
+    beats = [statistics.probability_of_improvement([scores[i]], [scores[j]]) for i, j in both]
+    pairs = pd.DataFrame(
+        {
+            "first": looks[i].title, "second": looks[j].title, "probability": won.value,
+            "low": won.low, "high": won.high, "p": p, "p corrected": of_all,
+        }
+        for (i, j), won, p, of_all in zip(both, beats, ps, statistics.corrected(ps), strict=True)
+    )  # fmt: skip
     with st.container(border=True):
         st.markdown(
             "**Probability of improvement**: that a run of the first beats a run of the second",
@@ -178,11 +176,4 @@ def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) ->
         colours = [looks[i].colour for i, _ in both]
         figure = improvement(pairs, colours, 90 + 40 * len(pairs), keep)
         chart(figure, "improvement", "probability that a run of one group beats one of another")
-    return pd.DataFrame(
-        {
-            "first": pair.first, "second": pair.second, "probability": pair.probability.value,
-            "low": pair.probability.low, "high": pair.probability.high, "p": pair.p,
-            "p corrected": pair.corrected,
-        }
-        for pair in pairs
-    )  # fmt: skip
+    return pairs

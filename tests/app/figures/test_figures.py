@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import plotly.graph_objects as go
 import pytest
 from hypothesis import given, settings
@@ -18,7 +19,7 @@ from app.figures.curves import CORE, POINTS, Axes, group_curves, run_curves
 from app.figures.exams import errors_by_age, focus
 from app.figures.replay import moments_figure
 from app.figures.road import road_map
-from app.figures.statistics import Improvement, improvement
+from app.figures.statistics import improvement
 from app.figures.weights import (
     MAP_COLUMNS,
     probe_profiles,
@@ -28,9 +29,16 @@ from app.figures.weights import (
     with_returns,
 )
 from tom.analysis.curves import GRID, Curve, aggregate
-from tom.analysis.statistics import Interval
 from tom.record.decode import Profiles
 from tom.record.reader import RunReader
+
+WINS = pd.DataFrame(
+    [
+        {"first": first, "second": "MLE", "probability": 0.9, "low": 0.7, "high": 1.0, "p": p,
+         "p corrected": corrected}
+        for first, p, corrected in (("TOM", 0.03, 0.06), ("PMAC", 0.4, 0.4))
+    ]
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -205,7 +213,6 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
     curve = replace(long_curve(len(bins)), run_id=run_id)
     map_of = weight_map(profiles, "light", 300)
     errors = {"TOM": [(run_id, "tom", float(last), 1.0)]}
-    wins = Improvement("TOM", "MLE", Interval(0.5, 0.1, 0.9), 1.0, 1.0)
     drawn = [
         weight_map(profiles, "light", 300, keep=run_id),
         with_returns(map_of, curve),
@@ -216,7 +223,7 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
         errors_by_age([("a", "tom", bins[last])], 5, 300, keep=run_id),
         focus(errors, 300, "model/error_policy"),
         moments_figure(bins[None], bins[None], ["a"], 100, keep=run_id),
-        improvement([wins], ["red"], 200, run_id),
+        improvement(WINS[:1], ["red"], 200, run_id),
     ]
     return [figure.to_dict()["layout"]["uirevision"] for figure in drawn]
 
@@ -233,13 +240,9 @@ def test_every_run_stands_at_the_tick_of_its_group(runs: int) -> None:
 
 
 def test_a_p_among_several_is_shown_with_its_correction() -> None:
-    wins = [
-        Improvement(first, "MLE", Interval(0.9, 0.7, 1.0), p, corrected)
-        for first, p, corrected in (("TOM", 0.03, 0.06), ("PMAC", 0.4, 0.4))
-    ]
     said = [
         [words.partition("<br>")[2] for words in figure.layout.yaxis.ticktext]
-        for shown in (wins, wins[:1])
+        for shown in (WINS, WINS[:1])
         for figure in [improvement(shown, ["red"] * len(shown), 200, "a")]
     ]
     assert [list(words)[::-1] for words in said] == [

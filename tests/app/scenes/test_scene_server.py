@@ -80,28 +80,6 @@ def test_what_was_to_play_before_its_frame_connected_plays_then(served: SceneSer
         assert frame.playing
 
 
-class LeftWhileBuilt(SceneServer):
-    """Its frames are ready only when their tab has gone."""
-
-    def __init__(self, links: Links) -> None:
-        self.built, self.gone, self.done = (threading.Event() for _ in range(3))
-        super().__init__(links)
-
-    def _frame(self, client: viser.ClientHandle, selection: Selection) -> Frame:
-        frame = super()._frame(client, selection)
-        self.built.set()
-        assert self.gone.wait(60)
-        return frame
-
-    def _left(self, client: viser.ClientHandle) -> None:
-        super()._left(client)
-        self.gone.set()
-
-    def _connected(self, client: viser.ClientHandle) -> None:
-        super()._connected(client)
-        self.done.set()
-
-
 def test_a_page_plays_pauses_and_asks_where_its_episode_is(served: SceneServer) -> None:
     def wish(asked: int, wish: Wish, frame: int) -> Selection:
         return Selection(ReplayChoice(PENDULUM_TOM, 400, 0, frame, 25, asked=asked, wish=wish))
@@ -129,12 +107,20 @@ def test_a_page_asks_over_its_socket(tmp_path: Path) -> None:
         clock(str(tmp_path / "none"), "page")
 
 
-def test_a_tab_left_while_its_frame_is_built_leaves_none(store: Path, tmp_path: Path) -> None:
-    served = LeftWhileBuilt(Links(store=str(store), folder=str(tmp_path)))
-    try:
-        with frame_of_a_page(served):
-            assert served.built.wait(60)
-        assert served.done.wait(60)
-        assert served.frames == {}
-    finally:
-        served.server.stop()
+def test_a_tab_left_while_its_frame_is_built_leaves_none(
+    served: SceneServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build, find, built, found = served._frame, served._frame_of, threading.Event(), []
+
+    def slow(client: viser.ClientHandle, selection: Selection) -> Frame:
+        frame = build(client, selection)
+        built.set()
+        wait_for(lambda: not served.server.get_clients())
+        return frame
+
+    monkeypatch.setattr(served, "_frame", slow)
+    monkeypatch.setattr(served, "_frame_of", lambda *of: found.append(find(*of)) or found[-1])
+    with frame_of_a_page(served):
+        assert built.wait(60)
+    wait_for(lambda: found)
+    assert (found, served.frames) == ([None], {})

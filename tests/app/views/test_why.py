@@ -57,7 +57,6 @@ def own_rows(store: Path) -> Rows:
 def test_a_kept_fit_has_the_terms_of_its_weights(store: Path) -> None:
     rows, found = of_fit(info(store, PENDULUM_TOM))
     assert isinstance(found, why.Why)
-    assert found.step == FIT
     assert len(found.policy_rows) == 100  # 200 steps of exploration came before
     for row in range(0, FIT, 17):
         assert found.sum_of(row).weight == pytest.approx(rows.weight[row], abs=1e-5)
