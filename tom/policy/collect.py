@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from gymnasium import Env
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -133,50 +134,38 @@ class Evaluator:
     """
 
     def __init__(self, task: Task, episodes: int) -> None:
-        self._tapes = [_Tape(task) for _ in range(episodes)]
+        self._envs = [task.make() for _ in range(episodes)]
 
     def run(self, policy_mean: PolicyMean, seed: int) -> list[Episode]:
         """One episode in each environment, to its end or time limit."""
-        seeds = np.random.SeedSequence(seed).generate_state(len(self._tapes))
-        for tape, reset_seed in zip(self._tapes, seeds, strict=True):
-            tape.begin(int(reset_seed))
-        running = self._tapes
+        seeds = np.random.SeedSequence(seed).generate_state(len(self._envs)).tolist()
+        running = tapes = [_Tape(*begun) for begun in zip(self._envs, seeds, strict=True)]
         while running:
             obs = torch.from_numpy(np.stack([tape.obs for tape in running]))
             with torch.no_grad():
                 actions = policy_mean(obs).cpu().numpy()
             for tape, action in zip(running, actions, strict=True):
                 tape.step(action)
-            running = [tape for tape in running if not tape.ended]
-        return [tape.episode() for tape in self._tapes]
+            running = [tape for tape in running if not (tape.terminated or tape.truncated)]
+        return [tape.episode() for tape in tapes]
 
 
 class _Tape:
-    """One environment and the record of its current episode."""
+    """An episode in an environment, and its record."""
 
-    def __init__(self, task: Task) -> None:
-        self._env = task.make()
-        simulator = simulated(self._env)
-        self._data = None if simulator is None else simulator.data
-        self._terminated = self._truncated = False
+    def __init__(self, env: Env, seed: int) -> None:
+        self._env, self._simulator = env, simulated(env)
+        self.terminated = self.truncated = False
         self._steps: list[tuple[NDArray, float]] = []
         self._states: list[tuple[NDArray, ...]] = []
+        self._note(env.reset(seed=seed)[0])
 
     @property
     def obs(self) -> NDArray:
         return self._states[-1][0]
 
-    @property
-    def ended(self) -> bool:
-        return self._terminated or self._truncated
-
-    def begin(self, seed: int) -> None:
-        self._terminated = self._truncated = False
-        self._steps, self._states = [], []
-        self._note(self._env.reset(seed=seed)[0])
-
     def step(self, action: NDArray) -> None:
-        obs, reward, self._terminated, self._truncated, _ = self._env.step(action)
+        obs, reward, self.terminated, self.truncated, _ = self._env.step(action)
         self._steps.append((action, float(reward)))
         self._note(obs)
 
@@ -185,10 +174,11 @@ class _Tape:
         obs, *joints = (np.array(part) for part in zip(*self._states, strict=True))
         qpos, qvel = joints or (None, None)
         return Episode(
-            reward, action, obs, qpos, qvel, terminated=self._terminated, truncated=self._truncated
+            reward, action, obs, qpos, qvel, terminated=self.terminated, truncated=self.truncated
         )
 
     def _note(self, obs: NDArray) -> None:
         """Keep an observation, and the positions and velocities of the joints there."""
-        joints = () if self._data is None else (self._data.qpos, self._data.qvel)
+        data = None if self._simulator is None else self._simulator.data
+        joints = () if data is None else (data.qpos, data.qvel)
         self._states.append(tuple(np.array(part, np.float32) for part in (obs, *joints)))
