@@ -11,6 +11,7 @@ space of fewer dimensions.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -25,6 +26,8 @@ from tom.nn.trained import Average, Trained
 
 CHUNK = 1024  # rows evaluated at once; they stay in the processor's cache
 BLOCK, GPU_BLOCK = 32, 100  # minibatches gathered at once
+
+Inputs = Literal["transitions", "state-actions"]
 
 
 def discriminator_net(

@@ -170,11 +170,7 @@ def foreign_policy(
     `own_obs` converts observations (B, O) to the task's own units, which the policy expects.
     """
     if _is_function(name):
-        function = import_function(name, "--policy")  # its module is imported and run
-
-        def ask(obs: Tensor) -> Any:
-            return function(obs.to(torch.float32).numpy())
-
+        ask = _function(name)
     elif Path(name).is_file():
         ask = (_onnx if Path(name).suffix == ONNX else _torchscript)(name)
     else:
@@ -188,6 +184,11 @@ def foreign_policy(
 
 def _is_function(name: str) -> bool:
     return _FUNCTION.fullmatch(name) is not None and not Path(name).exists()
+
+
+def _function(name: str) -> Callable[[Tensor], Any]:
+    function = import_function(name, "--policy")  # its module is imported and run
+    return lambda obs: function(obs.to(torch.float32).numpy())
 
 
 def _torchscript(name: str) -> Callable[[Tensor], Any]:

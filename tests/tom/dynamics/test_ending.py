@@ -27,7 +27,8 @@ def fitted(weights: torch.Tensor | None = None, config: ModelConfig = CONFIG, **
     data = rows(3000, **given)
     head = EndingHead(3, config, generator(1))
     weights = torch.ones(len(data)) if weights is None else weights
-    return head, *head.fit(data, weights, len(data), generator(2))
+    metrics, notices = head.fit(data, weights, len(data), generator(2))
+    return head, metrics, notices
 
 
 @pytest.mark.parametrize("weights", ["sample", "scale"])

@@ -5,12 +5,13 @@ import pytest
 import torch
 from common import generator
 from made import OBS, QUICK, ended, rows, uniform_policy
+from torch import Tensor
 
 from tom.analysis import why
 from tom.config import RolloutConfig, TomConfig
 from tom.data.sampling import normalise
 from tom.data.transitions import TensorTransitions
-from tom.learners.terms import of_recorded
+from tom.learners.terms import Terms, of_recorded
 from tom.learners.tom import occupancy_weights
 
 FLOWS = ("discounted", "restart", "stationary")
@@ -29,22 +30,25 @@ def buffer() -> TensorTransitions:
     return TensorTransitions.join(parts)
 
 
-def found(config: TomConfig):
+def found(config: TomConfig) -> tuple[Tensor, Terms]:
+    """Weights and their terms."""
     starts = torch.zeros(4, OBS)
-    policy_rows = rows(120, seed=1, shift=1.0)
-    return occupancy_weights(buffer(), policy_rows, uniform_policy, starts, config, generator(2))
+    rows_of = buffer(), rows(120, seed=1, shift=1.0)
+    weighting = occupancy_weights(*rows_of, uniform_policy, starts, config, generator(2))
+    assert weighting.terms is not None
+    return weighting.weights, weighting.terms
 
 
 @pytest.mark.parametrize("flow", FLOWS)
 @pytest.mark.parametrize(("divergence", "conjugate"), DIVERGENCES)
 def test_the_terms_sum_to_the_weight(flow, divergence, conjugate):
     config = QUICK.but(flow=flow, divergence=divergence, conjugate=conjugate, discount=0.9)
-    occupancy = found(config)
-    assert occupancy.weights.std() > 0.01
+    weights, terms = found(config)
+    assert weights.std() > 0.01
     for row in range(0, 700, 23):
-        summed = why.sum_of(occupancy.terms, config, row)
-        assert summed.weight == pytest.approx(float(occupancy.weights[row]), abs=1e-5)
-    assert torch.equal(normalise(occupancy.terms.raw(config))[0], occupancy.weights)
+        summed = why.sum_of(terms, config, row)
+        assert summed.weight == pytest.approx(float(weights[row]), abs=1e-5)
+    assert torch.equal(normalise(terms.raw(config))[0], weights)
 
 
 def test_an_end_restarts_where_the_flow_does():
@@ -54,7 +58,7 @@ def test_an_end_restarts_where_the_flow_does():
         ("restart", (True, False)),
         ("stationary", (True, True)),
     ):
-        terms = found(QUICK.but(flow=flow)).terms
+        _, terms = found(QUICK.but(flow=flow))
         assert tuple(float(terms.restart[row]) != 0 for row in (end, limit)) == restarts
         assert float(terms.restart[:650].abs().max()) == 0
         assert float(terms.following[end]) == 0
@@ -63,15 +67,15 @@ def test_an_end_restarts_where_the_flow_does():
 
 def test_the_level_is_what_makes_the_mean_one():
     stationary = QUICK.but(flow="stationary")
-    terms = found(stationary).terms
+    _, terms = found(stationary)
     summed = why.sum_of(terms, stationary, 3)
     assert summed.level != 0
     assert summed.mean == pytest.approx(1, abs=1e-4)
-    assert why.sum_of(found(QUICK).terms, QUICK, 3).level == 0
+    assert why.sum_of(found(QUICK)[1], QUICK, 3).level == 0
 
 
 def test_recorded_terms_are_the_terms():
-    terms = found(QUICK).terms
+    _, terms = found(QUICK)
     recorded = {"log_ratio": terms.log_ratio, **terms.recorded()}
     again = of_recorded(recorded)
     assert again is not None

@@ -43,6 +43,7 @@ def test_weights_have_mean_one_and_favour_the_policys_region(divergence, discrim
     assert float(found.weights.mean()) == pytest.approx(1.0, abs=1e-4)
     assert (found.weights >= 0).all()
     assert found.weights[:300].mean() > found.weights[300:].mean()
+    assert found.log_ratio is not None
     assert found.log_ratio.shape == (1200,)
 
 
