@@ -1,16 +1,20 @@
 """The store and the addresses of one studio, passed by the launcher to its processes."""
 
+from __future__ import annotations
+
 import hashlib
 import json
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 from urllib.parse import quote, urlencode
 
-from app.theme import Mode
 from tom.machine.address import in_url, local_host
+
+if TYPE_CHECKING:  # the launcher does without the colours, and what they import
+    from app.theme import Mode
 
 VARIABLE = "TOM_STUDIO"
 LOOPBACK = ("127.0.0.1", "localhost", "::1")

@@ -6,22 +6,24 @@ Pure functions of rows first, then what is read from a run's folder, cached unti
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.data.cache import VersionedCache, cached
 from app.data.readers import profiles, reader
-from tom.analysis.imagine import step_errors, stored_model, stored_step
-from tom.analysis.weighing import load_policy
 from tom.data.transitions import Transitions, episodes
 from tom.envs import ROAD, Task
 from tom.errors import UserError
-from tom.policy.stored import StoredPolicy
+from tom.record import checkpoint
 from tom.record.reader import Recorded, RunReader
 from tom.record.store import Store
 from tom.record.task_record import scene_of, task_of
 from tom.spread import spread
+
+if TYPE_CHECKING:  # torch takes seconds to import, and the first page does without it
+    from tom.policy.stored import StoredPolicy
 
 Floats = NDArray[np.float64]
 
@@ -182,11 +184,13 @@ def drawn(run: RunReader) -> bool:
 
 def has_model(run: RunReader) -> bool:
     """Whether the run has a stored model, which may be damaged."""
-    return stored_step(run) is not None
+    return checkpoint.model_step(run.path) is not None
 
 
 def model_errors_of(run: RunReader, index: NDArray[np.int64]) -> Floats:
     """The stored model's error on recorded rows, (N,) of the record: NaN for all others."""
+    from tom.analysis.imagine import step_errors, stored_model
+
     whole = recorded(run).rows
     errors = np.full(len(whole), np.nan)
     with suppress(UserError):  # the page says what is damaged
@@ -194,8 +198,11 @@ def model_errors_of(run: RunReader, index: NDArray[np.int64]) -> Floats:
     return errors
 
 
-def stored_policy(run: RunReader, step: int | None = None) -> StoredPolicy | None:
+def stored_policy(run: RunReader, step: int | None = None) -> "StoredPolicy | None":
     """The policy of a run's fit, or that it ended with; None if there is none that can be read."""
+    from tom.analysis.weighing import load_policy
+    from tom.policy.stored import StoredPolicy
+
     known, store = described_task(run), Store(run.home.parent)
     try:
         found = None if known is None else load_policy(str(run.path), store, known, step)
@@ -214,6 +221,8 @@ def errors_on(run: RunReader, other: RunReader) -> Floats | None:
     """
 
     def read() -> Floats | None:
+        from tom.analysis.imagine import step_errors, stored_model
+
         whole = recorded(run).rows
         with suppress(UserError):
             if len(whole):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tom.analysis.curves import curve_points
 from tom.analysis.scores import interval
 from tom.analysis.statistics import RANKED, Interval, exchangeable, probability_of_improvement
-from tom.exams.energy import informative
+from tom.exams import informative
 
 Floats = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
 from app import session, text
-from app.data import readers, trainings, weighings
+from app.data import readers, trainings
 from app.data.trainings import Started
 from app.parts import address, form, widgets
 from app.theme import learner_colour, learner_label
@@ -42,6 +42,8 @@ PLAY = ":material/play_arrow:"
 
 def first_page() -> None:
     """How to begin: a first comparison, a training of one's own, the examples."""
+    from app.data import weighings  # here: it imports torch
+
     store = session.links().store
     st.header("Which data does a learned model pay attention to?", anchor=False)
     st.write(

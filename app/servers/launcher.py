@@ -16,12 +16,15 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
+from typing import TYPE_CHECKING
 
 from app.links import Links
-from app.theme import Mode
 from tom.errors import UserError
 from tom.harmless import terminal
 from tom.machine import address, processes
+
+if TYPE_CHECKING:
+    from app.theme import Mode
 
 DEFAULT_PORT = 8600
 START_TIMEOUT_S = 60.0
@@ -51,7 +54,7 @@ class Studio:
     host: str = "127.0.0.1"
     port: int | None = None
     base: str = ""
-    theme: Mode | None = None
+    theme: "Mode | None" = None
 
 
 @dataclass

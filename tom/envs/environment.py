@@ -9,11 +9,9 @@ from typing import Any, cast
 import gymnasium as gym
 import mujoco
 import numpy as np
-import torch
 from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.wrappers import OrderEnforcing, RescaleAction, TimeLimit
 from numpy.typing import NDArray
-from torch import Tensor
 
 from tom.envs.user_code import running
 from tom.errors import OwnCodeError, StartAgainError
@@ -103,6 +101,8 @@ class Unit(gym.Wrapper):
 
     def capture(self) -> dict[str, Any]:
         """The state for `restore`, as tensors and primitives."""
+        import torch  # takes seconds; who only shows runs does without it
+
         width = len(self._low)
         return {
             "seeds": self._seeds.bit_generator.state,
@@ -151,6 +151,8 @@ class Unit(gym.Wrapper):
 
 def capture(env: gym.Env) -> dict[str, Any]:
     """All state that `env`'s future depends on, as tensors and primitives; `env` must be reset."""
+    import torch
+
     if isinstance(env, Unit):
         return env.capture()
     simulator = _simulator(env)
@@ -176,7 +178,7 @@ def restore(env: gym.Env, state: dict[str, Any]) -> None:
     simulator = _simulator(env)
     model, data = simulator.model, simulator.data
     mujoco.mj_resetData(model, data)
-    integration: Tensor = state["integration"]
+    integration = state["integration"]
     mujoco.mj_setState(model, data, integration.numpy(), mujoco.mjtState.mjSTATE_INTEGRATION)
     mujoco.mj_forward(model, data)
     for name, values in state["lagging"].items():

@@ -10,15 +10,13 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import chain
 from math import prod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
-import torch
 from gymnasium.spaces import Box, Dict
 from gymnasium.wrappers import FlattenObservation, TimeLimit
 from numpy.typing import NDArray
-from torch import Tensor
 
 from tom.envs import termination
 from tom.envs.environment import Simulator, Unit, simulated
@@ -26,6 +24,9 @@ from tom.envs.mujoco import log_warnings
 from tom.envs.task import Task, Termination
 from tom.envs.user_code import import_named
 from tom.errors import OF_USERS, UserError, reason
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 OWN = "gymnasium"
 """the module of Gymnasium's own tasks, which is always imported"""
@@ -100,7 +101,9 @@ class GymnasiumTask(Task):
         offset, scale = self.obs_units
         return ((np.asarray(obs, np.float64) - offset) / scale).astype(np.float32)
 
-    def own_units(self, obs: Tensor) -> Tensor:
+    def own_units(self, obs: "Tensor") -> "Tensor":
+        import torch
+
         return obs * torch.tensor(self.obs_scale).to(obs) + torch.tensor(self.obs_offset).to(obs)
 
 

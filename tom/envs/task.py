@@ -2,14 +2,16 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
 
-Termination = Callable[[Tensor], Tensor]
+if TYPE_CHECKING:  # torch takes seconds to import, and who only shows runs does without it
+    from torch import Tensor
+
+Termination = Callable[["Tensor"], "Tensor"]
 """next_obs (B, O) -> terminated (B,), a bool tensor."""
 
 
@@ -60,7 +62,7 @@ class Task:
         """Observations (..., O) as agents see them, in the task's own units."""
         return np.asarray(obs)
 
-    def own_units(self, obs: Tensor) -> Tensor:
+    def own_units(self, obs: "Tensor") -> "Tensor":
         """The same for a tensor."""
         return obs
 

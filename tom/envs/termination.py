@@ -5,14 +5,16 @@ v5 task of that name only. If the task tests a bound, a NaN ends the episode. `r
 a training: the task's own, or the user's.
 """
 
-from typing import cast
+from __future__ import annotations
 
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, cast
 
 from tom.envs.task import Task, Termination
 from tom.envs.user_code import import_function, running
 from tom.errors import OwnCodeError, UserError, unknown
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def never(next_obs: Tensor) -> Tensor:
@@ -104,12 +106,13 @@ def checked(given: Termination, known: Task, name: str) -> Termination:
 
     It raises OwnCodeError where it fails or its answer is not a valid one.
     """
+    import torch
 
     def terminated(next_obs: Tensor) -> Tensor:
         with running(f"termination {name} for next observations {tuple(next_obs.shape)}"):
             answer = given(known.own_units(next_obs))
         if (
-            not isinstance(answer, Tensor)
+            not isinstance(answer, torch.Tensor)
             or answer.shape != next_obs.shape[:-1]
             or answer.dtype != torch.bool
         ):

@@ -10,8 +10,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import torch
-
 from tom.errors import OF_USERS, DivergedError, OwnCodeError, UserError, reason
 from tom.machine.memory import ran_out
 
@@ -44,6 +42,8 @@ def running(what: str) -> Iterator[None]:
             f"{what} fails: {type(error).__name__}: {reason(error)}{place(error)}"
         ) from error
     finally:
+        import torch  # it takes seconds, and who only shows runs does without it
+
         torch.set_default_dtype(torch.float32)  # code that computes in double may have changed it
 
 
@@ -60,6 +60,8 @@ def import_named(module: str, option: str) -> ModuleType:
     The folder stays on the path: the module may import its neighbours later.
     Raises UserError if it cannot be imported.
     """
+    import torch
+
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)
     try:

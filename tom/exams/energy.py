@@ -7,8 +7,6 @@ footprint.
 
 from math import isfinite
 
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -99,15 +97,6 @@ def footprint_match(
             metrics["footprint_se"] = float(spread.sqrt())
         metrics["footprint_noise"] = energy_distance(z[first], z[~first]) / float(uniform[0])
     return {name: value for name, value in metrics.items() if isfinite(value)}
-
-
-def informative(noise: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-    """Which footprints say something, by their `footprint_noise`, any shape; NaN says nothing.
-
-    A footprint does not if the unweighted buffer is no farther from the policy's steps than two
-    halves of these are from each other.
-    """
-    return np.abs(np.asarray(noise, np.float64)) < 1
 
 
 def _selections(episodes: Tensor) -> Tensor:

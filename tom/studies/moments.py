@@ -19,7 +19,7 @@ from scipy.stats import binomtest
 from tom.analysis.statistics import Interval, interval, mean
 from tom.envs import ENVS, ROAD, task, task_rank
 from tom.errors import UserError, reason
-from tom.exams.energy import informative
+from tom.exams import informative
 from tom.record import RunReader, Store
 from tom.reports.report import WORDS
 from tom.reports.report import seeds as in_short

@@ -18,7 +18,7 @@ from tom.analysis.scores import (
 from tom.analysis.settings import changed, matters, unlike
 from tom.analysis.statistics import corrected, exchangeable, probability_of_improvement, remark
 from tom.envs import task
-from tom.exams.energy import informative
+from tom.exams import informative
 from tom.learners import LEARNERS
 from tom.learners.base import HEAVY
 from tom.studies.returns_cells import (

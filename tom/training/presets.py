@@ -16,7 +16,6 @@ from tom.envs import ENV_NAMES, ROAD, is_known, task, unknown_task
 from tom.envs.termination import rule
 from tom.errors import UserError, invalid_value, unknown
 from tom.learners import LEARNERS, SUBJECT, follows_behaviour, with_own_settings
-from tom.road.baselines import BASELINES
 
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {"tom": {"action_samples": 1}},
@@ -150,6 +149,8 @@ def learners(env: str) -> tuple[str, ...]:
     """
     if env != ROAD:
         return tuple(LEARNERS)
+    from tom.road.baselines import BASELINES  # here: it imports torch
+
     return (*(name for name in LEARNERS if not follows_behaviour(name)), *BASELINES)
 
 

@@ -20,7 +20,6 @@ from app.parts.plot import chart
 from app.parts.scope import Scope
 from tom.analysis import statistics
 from tom.analysis.curves import curve_points
-from tom.analysis.imagine import stored_step
 from tom.analysis.scores import counted_from
 from tom.analysis.settings import kinds_of
 from tom.config import SAC_ALONE
@@ -198,7 +197,7 @@ def table(result: Ranking) -> pd.DataFrame:
 
 def _on_one_buffer(run: RunReader, others: Sequence[RunReader]) -> None:
     """The errors on the buffer of `run` of its own stored model and of other runs' models."""
-    kept = [other for other in others if stored_step(other) is not None]
+    kept = [other for other in others if buffer.has_model(other)]
     errors, beyond, names = [], list(kept), group_names(kept)
     for other in in_turn(run, kept):
         error = buffer.errors_on(run, other)

@@ -22,7 +22,7 @@ from app.theme import learner_label
 from app.views.attention import in_buffer, learners, road
 from tom.config import OWN_LOOP, Settings
 from tom.envs import ROAD
-from tom.exams.energy import informative
+from tom.exams import informative
 from tom.learners import LEARNERS
 from tom.learners.base import DEGENERATE
 from tom.metrics import describe
