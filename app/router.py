@@ -19,7 +19,7 @@ from app.data import readers
 from app.parts import address
 from app.theme import LEARNER_COLOURS, NEUTRAL, rgb
 from tom.learners import SUBJECT
-from tom.plugins import PAGES, Page
+from tom.plugins.kept import PAGES, Page
 
 
 @dataclass(frozen=True)
