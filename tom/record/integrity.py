@@ -102,10 +102,7 @@ def repair(reader: RunReader) -> list[str]:
                 done[name] = f"set aside{_kept(run, set_aside(run, run / name))}"
         status = RunReader(run).status
         if status.state == "running":
-            newest = checkpoint.newest(run / checkpoint.FOLDER)
-            goes_on = f"tom train --resume {reader.run_id} goes on from a checkpoint"
-            why = "it has no checkpoint to go on from" if newest is None else goes_on
-            why = f"its process ended without a word: {why}"
+            why = "its process ended without a word"
             ended = but(status, state="stopped", phase="", eta_s=None, reason=why)
             replace_json(run / layout.STATUS, asdict(ended), sync=True)
             done[layout.STATUS] = f"running became stopped at step {ended.env_step}"

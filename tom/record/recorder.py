@@ -133,9 +133,7 @@ class Recorder:
         except LostError:
             raise
         except OSError as error:
-            before = checkpoint.newest(folder)
-            stays = "there is none yet" if before is None else f"that of step {before} stays"
-            message = f"no checkpoint could be written ({error}): {stays}; free some space"
+            message = f"no checkpoint could be written ({error}): free some space"
             self.consume(Notice(step, "checkpoint", message))
         self._checkpoint_s += time.perf_counter() - begun
 
@@ -247,10 +245,7 @@ class Recorder:
         if isinstance(error, OwnCodeError):
             why = str(error)
         elif isinstance(error, OSError) and error.errno in DISK_FULL:
-            saved = checkpoint.newest(self._writer.path / checkpoint.FOLDER)
-            resume = f"tom train --resume {self.run_id}"
-            again = "start it again: it has no checkpoint yet" if saved is None else resume
-            why = f"{error}: free some space, then {again}"
+            why = f"{error}: free some space, then tom train --resume {self.run_id}"
         elif ran_out(error):
             why = out_of_memory(error)
         return f"step {self.status.env_step}: {why}"

@@ -99,11 +99,7 @@ def _ended(status: Status, copy: RunReader) -> Status:
     """The status of the copy of a run that had not finished: the copy cannot go on."""
     rows = copy.metrics()["env_step"].to_numpy()
     step = int(rows.max(initial=status.env_step))  # the rows may be later than the status
-    if status.state == "stopped":
-        why = "where it was stopped"
-    else:
-        why = "while it was training" if status.alive else "after its process ended without a word"
-    reason = f"copied at step {step} {why}"
+    reason = f"copied at step {step}, before its run had finished"
     return replace(status, state="stopped", phase="", env_step=step, reason=reason, eta_s=None)
 
 
@@ -138,15 +134,7 @@ def _description(reader: RunReader, left_out: Collection[str]) -> dict[str, Any]
     for made in (config, *config.get("resumes", ())):
         if "command" in made:
             made["command"] = shlex.join(without_options(str(made["command"]), PLACES))
-    note = {
-        "rows_of_metrics": ROWS,
-        "profiles": FITS,
-        "snapshots": SNAPSHOTS,
-        "evaluations": EVALUATIONS,
-        "episodes_of_an_evaluation": 1,
-        "left_out": list(left_out),
-    }
-    return {**config, THINNED: note}
+    return {**config, THINNED: {"left_out": list(left_out)}}
 
 
 def without_options(

@@ -21,7 +21,7 @@ from tom.record import RunReader, checkpoint, layout
 from tom.record.versions import ACCEPT
 from tom.sweep.backend import FolderBackend
 from tom.sweep.engine import Engine, Process
-from tom.training.plan import Trial, is_done, same_run, steps_beyond
+from tom.training.plan import Trial, is_done, same_run
 
 State = Literal["waiting", "running", "elsewhere", "finished", "failed", "stopped"]
 
@@ -76,10 +76,7 @@ class Driver:
             run_id = run.run_id if run else trial.run_id
             job = Job(trial, logs / f"{run_id}.log", run_id)
             if run and is_done(trial.config, run):
-                copy = "a small copy, " if run.small_copy else ""
-                longer = f", and was given {run.config['config']['steps']} steps"
-                more = longer if steps_beyond(trial.config, run) else ""
-                job.state, job.note = "finished", f"{copy}was there already{more}"
+                job.state, job.note = "finished", "was there already"
             self.jobs.append(job)
         self._order = list(self.jobs)  # in which `poll` checks them
         self.full = False

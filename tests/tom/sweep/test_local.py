@@ -127,7 +127,7 @@ def test_a_small_copy_of_a_finished_run_is_done_and_called_one(tmp_path: Path, c
     assert "finished (a small copy)" in sweep(capsys, copies, *words)[1]
     code, out, _ = sweep(capsys, copies, *SMOKE)
     assert code == 0
-    assert "finished (a small copy, was there already)" in out
+    assert "finished (was there already)" in out
     other = trials(checked({**PLAN, "seeds": [1]}))[0]
     assert cost(other, store.runs()) is not None
     assert cost(other, Store(copies).runs()) is None  # its size says nothing of a run's
@@ -150,7 +150,7 @@ def test_a_run_that_was_given_more_steps_and_has_those_of_the_plan_is_done(tmp_p
     assert "0 to do" in out
     code, out, _ = sweep(capsys, tmp_path, *SMOKE)
     assert code == 0
-    assert f"was there already, and was given {more.steps} steps" in out
+    assert "was there already" in out
     assert len(Store(tmp_path).runs()) == 1
 
 
