@@ -184,7 +184,7 @@ def _changed_settings(reader: RunReader, saved: Checkpoint, config: AnyConfig) -
 
     Raises StartAgainError for a checkpoint of another learner or environment.
     """
-    before, now = saved.state["config"], config.model_dump(mode="json")
+    before, now = saved.state.get("config", {}), config.model_dump(mode="json")
     for name in ("learner", "env"):
         if before.get(name) != now[name]:
             raise StartAgainError(
