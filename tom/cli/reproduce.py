@@ -9,10 +9,12 @@ import signal
 import sys
 import time
 from argparse import Namespace
+from collections.abc import Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from matplotlib import rc_context
 from pydantic import ValidationError
@@ -106,6 +108,7 @@ def _run(study: ModuleType, args: Namespace) -> int:
     if failed:
         verdict.append(f"Not met: {'; '.join(failed)}.")
     files = {name: list(rows) for name, rows in found.files.items()}
+    tables: list[tuple[str, Sequence[Mapping[str, Any]]]]
     tables = [(title, files[name]) for name, title in found.titles.items()]
     content = {name: files[name] for name in found.titles}
     if found.checks:

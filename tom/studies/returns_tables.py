@@ -304,15 +304,18 @@ def _of_run(fits: pd.DataFrame) -> dict[str, float]:
         noise = fits[NOISE] if NOISE in fits else np.full(len(fits), np.nan)
         counts = {FOOTPRINT: informative(noise)}
         every = np.ones(len(fits), np.bool_)
-        found = {name: _median(fits[of][counts.get(of, every)]) for of, name in EXAMS.items()}
+        found = {
+            name: _median(np.asarray(fits[of], np.float64)[counts.get(of, every)])
+            for of, name in EXAMS.items()
+        }
     needed = [FALLS, POLICY_FALLS, LARGEST, SIZE]
     if set(needed) <= set(fits) and not (here := fits.loc[:, needed].dropna()).empty:
-        found["falls"] = _median(here[FALLS] / here[POLICY_FALLS])
+        found["falls"] = _median((here[FALLS] / here[POLICY_FALLS]).to_numpy())
         found["heavy rows"] = float((here[LARGEST] >= HEAVY * here[SIZE]).mean())
     return found
 
 
-def _median(of_fits: pd.Series) -> float:
+def _median(of_fits: Array) -> float:
     """The median of the finite numbers; NaN without any."""
     finite = of_fits[np.isfinite(of_fits)]
     return float(np.median(finite)) if len(finite) else np.nan
