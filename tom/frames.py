@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tom.analysis.imagine import step_errors, stored_model
 from tom.analysis.ordered_data import OrderedData, find_run, in_own_units
-from tom.analysis.row_table import row_table, transition_table
+from tom.analysis.planes import row_table, transition_table
 from tom.analysis.weighing import Weighed, plan_weighing
 from tom.data.sampling import bin_means
 from tom.data.transitions import Transitions

@@ -40,7 +40,7 @@ def export_small(
 
 
 def export_rows(table: pd.DataFrame, path: Path) -> Path:
-    """Write a table of rows (`tom.analysis.row_table`) as Parquet; see `export` for errors."""
+    """Write a table of rows (`tom.analysis.planes`) as Parquet; see `export` for errors."""
     return _written(path, partial(_write_frame, table))
 
 

@@ -80,3 +80,16 @@ def test_equal_weights_and_constant_rows_have_a_plane_that_explains_nothing(coun
 def test_an_axis_is_named_by_its_largest_loadings():
     axis = np.array([0.1, -0.8, 0.2, 0.0, -0.7])
     assert planes.described(axis, NAMES) == "b down, c up"
+
+
+def test_rows_count_the_whole_record_and_ages_the_rows_themselves():
+    values = np.arange(12.0)
+    ended = np.isin(values, [3, 9])
+    obs = values[:, None]
+    record = Transitions(obs, obs, values, obs + 1, ended, np.zeros(12, bool))
+    table = planes.row_table(record, np.ones(4), 11, (["x"], ["push"]))
+    assert table["row"].tolist() == [7, 8, 9, 10]
+    assert table["episode"].tolist() == [1, 1, 1, 2]
+    assert table["episode_step"].tolist() == [3, 4, 5, 0]
+    assert table["age"].tolist() == [12.5, 37.5, 62.5, 87.5]
+    assert table["reward"].tolist() == [7, 8, 9, 10]
