@@ -78,15 +78,7 @@ def draw(scope: Scope) -> None:
     _profiles(looks, scores, score, keep)
     pairs = _improvement(looks, scores, f"{score} {keep}")
     table = reached(grouped, names, level, until)
-    st.markdown(
-        f"**Sample efficiency**: env steps until {text.markdown(metric)} is {level:,.6g}; "
-        f"runs are followed up to step {until:,.0f}, which every run reaches"
-    )
-    steps = {
-        name: [f"{at:,.0f}" if np.isfinite(at) else "not reached" for at in table[name]]
-        for name in ("median step", "first")
-    }
-    st.dataframe(table.assign(**steps).rename(columns={"first": "first run"}), hide_index=True)
+    _efficiency(table, metric, level, until)
     of_runs = pd.DataFrame(
         {"group": name, "run": curve.run_id, "seed": curve.seed, "score": value}
         for name, group, values in zip(names, grouped, scores, strict=True)
@@ -177,3 +169,15 @@ def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) ->
         figure = improvement(pairs, colours, 90 + 40 * len(pairs), keep)
         chart(figure, "improvement", "probability that a run of one group beats one of another")
     return pairs
+
+
+def _efficiency(table: pd.DataFrame, metric: str, level: float, until: float) -> None:
+    st.markdown(
+        f"**Sample efficiency**: env steps until {text.markdown(metric)} is {level:,.6g}; "
+        f"runs are followed up to step {until:,.0f}, which every run reaches"
+    )
+    steps = {
+        name: [f"{at:,.0f}" if np.isfinite(at) else "not reached" for at in table[name]]
+        for name in ("median step", "first")
+    }
+    st.dataframe(table.assign(**steps).rename(columns={"first": "first run"}), hide_index=True)
