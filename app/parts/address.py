@@ -207,7 +207,6 @@ def fold(label: str, key: str) -> DeltaGenerator:
 
 
 def text_input(label: str, key: str, **more: Any) -> str:
-    """The text that the user has typed."""
     value_of(key, lambda given: "".join(given[-1:]))
     typed = st.text_input(label, key=key, **more) or ""
     keep(key, [typed] if typed else [])

@@ -115,7 +115,6 @@ class Scope:
         return [run for run in self.members if self.title(run) not in self.hidden]
 
     def title(self, run: RunReader) -> str:
-        """The title of a run's group."""
         return self.looks[self.kinds[run.run_id]].title
 
     @property

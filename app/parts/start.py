@@ -137,7 +137,6 @@ def _form() -> None:
 
 
 def _settings(groups: dict[str, list[form.Setting]]) -> dict[str, str]:
-    """The changed settings by path."""
     given: dict[str, str] = {}
     for tab, settings in zip(st.tabs(list(groups)), groups.values(), strict=True):
         row: list[DeltaGenerator] = []
@@ -203,16 +202,12 @@ def _cards() -> None:
 
 
 def just_ended(run: RunReader) -> bool:
-    """Whether a run has ended a short while ago."""
     recent = time.time() - run.status.heartbeat < RECENT_S
     return recent and not run.status.alive and not run.small_copy
 
 
 def _card(run: RunReader, preset: str) -> None:
-    """Name and state, progress, and the main numbers.
-
-    The `preset` tells it from other runs of its learner.
-    """
+    """Name and state, progress, and the main numbers; `preset` if its learner has several."""
     status = run.status
     if status.alive and not session.read_only_reason() and not run.own_loop:
         left, right = st.columns([4, 1], vertical_alignment="center", gap="small")

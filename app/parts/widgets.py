@@ -57,7 +57,6 @@ def metrics(numbers: Mapping[str, str], helps: Mapping[str, str] = MappingProxyT
 
 
 def show_problems(run: RunReader, problems: Sequence[str] | None = None) -> None:
-    """Show the problems of a run."""
     for problem in readers.problems(run) if problems is None else problems:
         st.warning(
             f"{text.markdown(run.run_id)}: {text.markdown(problem)}", icon=":material/heart_broken:"

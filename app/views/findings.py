@@ -48,8 +48,7 @@ def page(scope: Scope) -> None:
 
 
 def _cards(listed: Sequence[Study]) -> None:
-    """All ways of weighing by their distance and their model's error, where both are known; then
-    each study."""
+    """All ways of weighing on two axes, where both studies are known; then each study."""
     for ending, found in every_ways(listed).items():
         with st.container(border=True):
             st.header(EVERY_WAY, anchor=False)

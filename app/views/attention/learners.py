@@ -126,9 +126,8 @@ def _weighed(weighing: Weighing, rows: int) -> None:
 
 
 def nearest(footprints: Mapping[str, Floats]) -> str:
-    """Which learner's weights lie nearest to the policy, by how much, and whether that is more
-    than seeds of one learner differ, which one seed cannot tell; empty for fewer than two learners.
-    `footprints` are (seeds,)."""
+    """Which learner's weights lie nearest to the policy, by how much, and whether seeds of one
+    learner differ less; empty for fewer than two learners. `footprints` are (seeds,)."""
     finite = {name: of[np.isfinite(of)] for name, of in footprints.items()}
     found = sorted((float(np.median(v)), n) for n, v in finite.items() if len(v))
     if len(found) < 2:
@@ -153,7 +152,6 @@ def nearest(footprints: Mapping[str, Floats]) -> str:
 def _table(
     medians: Mapping[str, Mapping[str, float]], footprints: Mapping[str, Floats]
 ) -> pd.DataFrame:
-    """One row per learner: medians over its seeds."""
 
     def footprint(learner: str) -> dict[str, str]:
         if not footprints:

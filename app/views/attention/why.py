@@ -57,7 +57,6 @@ def asked(rows: Rows) -> int | None:
 
 
 def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None:
-    """Choose a transition, and explain its weight."""
     with st.container(border=True):
         _pick(rows)
         if row is None:
@@ -217,7 +216,6 @@ def brush(run: RunReader, source: Source, mask: Mask) -> None:
 
 
 def brushing(run: RunReader) -> str:
-    """The name of the brush of a run that pages start."""
     return f"Brush of {run.run_id}"
 
 

@@ -34,6 +34,19 @@ REFRESH_S = 5
 CLICKED = "curves: a point was clicked"
 PANEL_HEIGHT = 300
 _PANELS: VersionedCache[Drawn] = VersionedCache()
+_number = st.column_config.NumberColumn
+COLUMNS = {
+    "settings": st.column_config.TextColumn("settings", width="medium"),
+    "n": _number("n", width=45, help="runs in the group"),
+    "steps": _number("up to", format="localized", help="where the shortest of the n runs ends"),
+    "final": _number(
+        "final", format="%.4g", help="over runs, of the value at that step, as the line has it"
+    ),
+    **{
+        name: _number(name, format="%.4g", help=f"over runs, of the {name} value up to that step")
+        for name in ("best", "highest")
+    },
+}
 NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
 
 
@@ -124,7 +137,7 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
             # The highest value of another metric, such as an error, may be the worst.
             table = table.rename(columns=lambda name: name.replace("best", "highest", 1))
         st.markdown(f"**{text.markdown(metric)}** at the step that all runs of a group reach")
-        st.dataframe(in_words(table), hide_index=True, column_config=columns())
+        st.dataframe(in_words(table), hide_index=True, column_config=COLUMNS)
         lines = (lambda: tables.bands(grouped, how.axes.x), "lines")
         files = {"Lines and bands": lines, **files, "Table": (lambda: table, "table")}
     widgets.downloads(files, metric)
@@ -244,22 +257,3 @@ def in_words(table: pd.DataFrame) -> pd.DataFrame:
         shown.insert(list(shown.columns).index(name) + 1, f"{name}, 95 %", words)
     silent = [name for name in ("learner", "preset", "settings") if not any(shown[name].tolist())]
     return shown.drop(columns=silent)
-
-
-def columns() -> dict:
-    """How the table shows its columns."""
-    number = st.column_config.NumberColumn
-    value = {
-        "final": "of the value at that step, as the line has it",
-        "best": "of the best value up to that step",
-        "highest": "of the highest value up to that step",
-    }
-    return {
-        "settings": st.column_config.TextColumn("settings", width="medium"),
-        "n": number("n", width=45, help="runs in the group"),
-        "steps": number("up to", format="localized", help="where the shortest of the n runs ends"),
-        **{
-            name: number(name, format="%.4g", help=f"over runs, {words}")
-            for name, words in value.items()
-        },
-    }

@@ -35,8 +35,6 @@ _GROUPED: VersionedCache[tuple[list[Curve], list[Group]]] = VersionedCache()
 
 @dataclass(frozen=True)
 class Measure:
-    """How the chosen runs are put together and drawn."""
-
     axes: Axes
     statistic: Statistic
     band: Band
@@ -45,8 +43,7 @@ class Measure:
 
 
 def choose(names: Sequence[str]) -> Measure:
-    """The controls of curves, whose runs have recorded these metrics; their values are in the
-    address."""
+    """The controls of curves, whose runs have recorded these metrics."""
     statistic = address.choose_one(
         st.segmented_control, "Over runs", list(STATISTICS), "statistic", "mean", required=True,
         help=IQM,
@@ -87,10 +84,7 @@ def grouped(
     statistic: Statistic = "mean",
     band: Band = "bootstrap",
 ) -> tuple[list[Curve], list[Group]]:
-    """The curves of the runs, and their groups; no groups if they cannot be put together.
-
-    `kinds` is the group of each run, by its id.
-    """
+    """The curves of the runs, and their groups by `kinds`; none if they cannot be put together."""
 
     def make() -> tuple[list[Curve], list[Group]]:
         curves = [curve(run, metric, x, kinds[run.run_id]) for run in runs]

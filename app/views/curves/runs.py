@@ -76,7 +76,6 @@ def draw(scope: Scope) -> None:
 
 
 def overview(runs: Sequence[RunReader]) -> pd.DataFrame:
-    """One row per run."""
     return pd.DataFrame(
         {
             "run": run.run_id,

@@ -220,7 +220,6 @@ def _marked(replay: Replay, *, playing: bool) -> int:
 
 
 def go_to(frame: int) -> None:
-    """Ask the scene to go to a step."""
     st.session_state[FRAME] = frame
     _ask("go", frame)
 
