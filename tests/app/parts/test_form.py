@@ -10,8 +10,7 @@ from app.parts import form, start
 from tom.cli.parser import leaf_fields
 from tom.config import OnlineConfig
 from tom.errors import UserError
-from tom.learners import LEARNERS, LearnerEntry
-from tom.learners.mle import MleLearner
+from tom.learners import LEARNERS
 
 
 def test_every_setting_that_matters_is_a_field() -> None:
@@ -59,19 +58,6 @@ def test_the_command_to_go_on_names_the_store(store: Path, show: Show) -> None:
     show(Path("my runs"))
     words = start.resume(info(store, PENDULUM_TOM))
     assert words == f"tom train --resume {PENDULUM_TOM} --store 'my runs'"
-
-
-@pytest.fixture
-def newcomer(monkeypatch: pytest.MonkeyPatch) -> str:
-    """A registered learner that reads a group of settings of its own."""
-    entry = LearnerEntry("New", lambda c, o, a, g: MleLearner(), group="rollout")
-    monkeypatch.setitem(LEARNERS, "new", entry)
-    return "new"
-
-
-def test_a_new_learners_settings_are_shown_for_it_alone(newcomer: str) -> None:
-    shown = {name: form.sections("hopper", name, "paper") for name in (newcomer, "mle", "tom")}
-    assert [name for name, groups in shown.items() if "rollout" in groups] == [newcomer]
 
 
 def test_every_learner_is_shown_the_settings_that_it_reads() -> None:

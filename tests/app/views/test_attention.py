@@ -141,13 +141,6 @@ def test_parts_of_the_buffer_without_rows_have_no_weight(own: Path) -> None:
     assert on_profile["traces"][0]["y"][0][3] == FLOOR
 
 
-def test_a_run_whose_profiles_are_damaged_is_named(own: Path) -> None:
-    (own / RECORD).write_text("torn\n")
-    app = draw("attention", run=PENDULUM_TOM)
-    assert not figures(app)
-    assert any("line 1 is damaged" in warning.value for warning in app.warning)
-
-
 @pytest.mark.parametrize("bins", [3, 7, 64, 100])
 def test_the_newest_fifth_is_a_fifth_for_any_number_of_bins(bins: int) -> None:
     weights = np.stack([np.ones(bins), np.eye(bins)[-1], np.zeros(bins)])

@@ -248,14 +248,3 @@ def test_what_lies_behind_a_link_is_not_shown_and_not_written(filled: Path, tmp_
     for page in PAGES:
         draw(page, run=TRASHED)
     draw("curves", part="Runs")
-
-
-@pytest.mark.usefixtures("modes_count")
-def test_what_may_not_be_entered_is_not_shown(filled: Path):
-    for name in layout.BESIDE_RUNS:
-        (filled / name).mkdir(exist_ok=True)
-        (filled / name).chmod(0)
-    assert found(filled) == [False] * 4
-    for page in PAGES:
-        draw(page, run=TRASHED)
-    draw("curves", part="Runs")

@@ -41,14 +41,6 @@ def made(count: int) -> Transitions:
     return Transitions(obs, obs * 0, np.ones(count, np.float32), obs + 1, ended, ended * 0)
 
 
-def test_the_rows_of_a_fit_are_the_newest_of_that_step(store: Path, rows: Rows) -> None:
-    weight = RunReader(store / PENDULUM_TOM).snapshot(FIT)["weight"].to_numpy()
-    recorded = RunReader(store / PENDULUM_TOM).buffer()[0]
-    assert len(rows) == len(weight) == FIT
-    assert rows.weight == pytest.approx(weight)
-    assert np.asarray(rows.rows.obs) == pytest.approx(np.asarray(recorded.obs)[:FIT])
-
-
 def test_only_dimensions_of_road_and_rocks_are_called_x_and_y() -> None:
     two, one = np.zeros((3, 2)), np.zeros(3)
     plane = Transitions(two, two, one, two, one, one)
