@@ -49,19 +49,12 @@ class Point(NamedTuple):
     high: float
 
 
-class Placed(NamedTuple):
-    """A way of weighing in one task; both numbers are 1 for uniform weights, less is better."""
-
-    way: str
-    distance: Interval
-    error: Interval
-
-
 class Panel(NamedTuple):
     """One task: its ways, uniform weights first, and the number of recordings and moments."""
 
     env: str
-    ways: Sequence[Placed]
+    ways: Sequence[tuple[str, Interval, Interval]]
+    """each with its distance and its error, which are 1 for uniform weights; less is better"""
     recordings: int
     moments: int
 
@@ -84,10 +77,10 @@ class Verdict:
 
 
 def _tables(study: Study) -> Tables:
-    read = {path.stem: studies.table(path) for path in study.tables}
+    read = ((path.stem, studies.table(path)) for path in study.tables)
     return {
         name: [dict(row) for row in table.to_dict("records")]
-        for name, table in read.items()
+        for name, table in read
         if table is not None
     }
 
@@ -165,12 +158,11 @@ def _capacity(tables: Tables) -> Verdict:
 def _improvement(tables: Tables) -> Verdict:
     difference = "difference, "
     table = [row for row in tables["summary"] if row["what"].startswith(difference)]
-    places = [row["what"].removeprefix(difference) for row in table]
     tests = [(row["p"] * len(table), 2 * row["better in trials"] > row["n"]) for row in table]
-    trials = [
-        f"{place} in {row['better in trials']:.0f} of {row['n']:.0f}"
-        for place, row in zip(places, table, strict=True)
-    ]
+    for row in table:
+        row["what"] = row["what"].removeprefix(difference)
+        row["share"] = row["better in trials"] / row["n"]
+    trials = [f"{row['what']} in {row['better in trials']:.0f} of {row['n']:.0f}" for row in table]
     sentence = (
         "After one fit, the policy returned more than with uniform weights, of equal trials: "
         f"{', '.join(trials)} (least p {min(row['p'] for row in table):.2g})."
@@ -179,22 +171,21 @@ def _improvement(tables: Tables) -> Verdict:
         f"At most {max(row['recordings'] for row in table):.0f} recordings count in a test: only "
         "a large effect of weights could have been seen."
     )
-    shares = [row | {"share": row["better in trials"] / row["n"]} for row in table]
-    points = [_point(place, "", row, "share") for place, row in zip(places, shares, strict=True)]
+    points = [_point(row["what"], "", row, "share") for row in table]
     axis = "share of trials that return more"
     return Verdict(_by_tests(tests), sentence, against, axis, 0.5, points)
 
 
 def _returns(tables: Tables) -> Verdict:
+    shown = {"TOM": LABELS[PRINTED], "TOM, mended": LABELS[MENDED]}
+    shown = {label: label for label in BY_LABEL} | shown
     table = [
-        row
-        for row in tables["improvement"]
-        if row["against"] == "MLE" and row["learner"].removesuffix(", mended") in BY_LABEL
+        row for row in tables["improvement"] if row["against"] == "MLE" and row["learner"] in shown
     ]
-    ours = [row for row in table if row["learner"].split(",")[0] == "TOM"]
+    ours = [row for row in table if row["learner"].startswith("TOM")]
     tests = [(row["p of all"], row["wins"] > 0.5) for row in ours]
     chances = [
-        f"{_plain(row['learner'])} {10 * row['wins']:.0f} times in 10 (p {row['p']:.2g})"
+        f"{shown[row['learner']]} {10 * row['wins']:.0f} times in 10 (p {row['p']:.2g})"
         for row in ours
         if row["by"] == "best return"
     ]
@@ -205,7 +196,7 @@ def _returns(tables: Tables) -> Verdict:
     against = f"Corrected for all comparisons of the table, the least p is {least:.2g}.{few}"
     points = [
         Point(
-            row["by"], _plain(row["learner"]),
+            row["by"], shown[row["learner"]],
             learner_colour(BY_LABEL[row["learner"].removesuffix(", mended")]),
             "circle-open" if row["learner"] == "TOM" else "circle",
             row["wins"], row["low"], row["high"],
@@ -327,11 +318,6 @@ def symbol(way: str) -> str:
     return "circle-open" if way == PRINTED else "circle" if WAYS[way].label else "x"
 
 
-def _plain(learner: str) -> str:
-    """`TOM, mended` as pages call it."""
-    return "TOM as printed" if learner == "TOM" else learner.replace(", mended", " mended")
-
-
 def every_ways(listed: Sequence[Study]) -> dict[str, Verdict]:
     """`EVERY_WAY` answered by each footprint study with the capacity study whose name ends alike.
 
@@ -367,13 +353,13 @@ def _panel(env: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) ->
     near, errs = _typical(env, distances), _typical(env, errors)
     even = Interval(1, 1, 1)
     ways = [
-        Placed(way, near[way], Interval(*map(exp, (e.value, e.low, e.high))))
+        (way, near[way], Interval(*map(exp, (e.value, e.low, e.high))))
         for way, e in errs.items()
         if way in near
     ]
     moments = {(row["recording"], row["step"]) for row, _ in errors if row["env"] == env}
     recordings = {recording for recording, _ in moments}
-    return Panel(env, [Placed(UNIFORM, even, even), *ways], len(recordings), len(moments))
+    return Panel(env, [(UNIFORM, even, even), *ways], len(recordings), len(moments))
 
 
 def _typical(env: str, outcomes: Sequence[Outcome]) -> dict[str, Interval]:
@@ -393,8 +379,8 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
     yes, no, told = 0, 0, []
     for panel in panels:
         ways = panel.ways[1:]
-        both = [LABELS.get(p.way, p.way) for p in ways if p.distance.high < 1 and p.error.high < 1]
-        all_worse = all(p.error.low > 1 for p in ways)
+        both = [LABELS.get(way, way) for way, near, e in ways if near.high < 1 and e.high < 1]
+        all_worse = all(error.low > 1 for *_, error in ways)
         yes, no = yes + bool(both), no + all_worse
         none = "none, all err more" if all_worse else "none"
         told.append(f"{called.task(panel.env)}: {', '.join(both) or none}.")

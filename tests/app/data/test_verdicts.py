@@ -143,10 +143,10 @@ def test_a_way_stands_at_its_mean_over_recordings_with_their_spread():
     assert {panel.env for panel in every_ways(studies.listing(GALLERY))[""].panels} == {*n.index}
     for panel in every_ways(studies.listing(GALLERY))[""].panels:
         assert panel.moments == n[panel.env]
-        assert {one.way for one in panel.ways} == {*near} & {*errs}
-        for one in panel.ways:
-            for found, table in ((one.distance, near), (one.error, errs)):
-                ends = over_recordings(table, panel.env, one.way)
+        assert {way for way, *_ in panel.ways} == {*near} & {*errs}
+        for way, distance, error in panel.ways:
+            for found, table in ((distance, near), (error, errs)):
+                ends = over_recordings(table, panel.env, way)
                 value, least, most = np.exp(ends) if table is errs else ends
                 assert found.value == pytest.approx(value)
                 if panel.recordings == 2:  # all resamples of two lie between them, some on them

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import readers, road
+from app.data.exams import Exams
 from app.figures.base import decimate, relative_scale
 from app.figures.curves import CORE, POINTS, Axes, group_curves, run_curves
-from app.figures.exams import errors_by_age, focus
+from app.figures.exams import FITS, errors_by_age, focus, footprint_error_return
 from app.figures.replay import moments_figure
 from app.figures.road import road_map
 from app.figures.statistics import improvement
@@ -28,6 +29,7 @@ from app.figures.weights import (
     weight_profile,
     with_returns,
 )
+from app.theme import learner_colour, learner_symbol
 from tom.analysis.curves import GRID, Curve, aggregate
 from tom.record.decode import Profiles
 from tom.record.reader import RunReader
@@ -286,3 +288,48 @@ def test_thinning_keeps_the_extremes(count: int, limit: int) -> None:
     assert kept.min() == value.min()
     assert np.array_equal(value[step], kept)
     assert (np.diff(step) > 0).all()
+
+
+NAN = float("nan")
+TOM = Exams(
+    "run-a", "tom", 4, "TOM",
+    step=np.array([100, 200, 300]),
+    error=np.array([0.5, 0.25, 0.125]),
+    rollout_error=np.array([1.0, 0.5, NAN]),
+    footprint=np.array([0.75, -8.0, 1.25]),
+    noise=np.array([0.25, -10.0, -0.5]),
+    returns=np.array([10.0, 20.0, NAN]),
+)  # fmt: skip
+MLE = replace(TOM, run_id="run-b", learner="mle", group="MLE", footprint=np.ones(3))
+
+
+def points(figure: go.Figure, learner: str) -> list[Any]:
+    """The learner's traces: footprints, returns."""
+    return list(figure.select_traces({"meta": learner}))
+
+
+def test_every_fit_is_a_point_in_its_learners_colour() -> None:
+    figure = footprint_error_return([TOM, MLE], 300)
+    left, right = points(figure, "tom")
+    assert list(left["x"]) == [0.75, 1.25]  # the second says nothing
+    assert list(left["y"]) == [0.5, 0.125]
+    assert list(right["x"])[:2] == [10, 20]
+    assert list(right["y"]) == [0.5, 0.25, 0.125]
+    assert left["marker"]["symbol"] == learner_symbol("tom")
+    keys = [one.marker.color for one in drawn(figure) if one.meta is None]
+    assert keys == [learner_colour("tom"), learner_colour("mle")]
+    assert list(points(figure, "mle")[0]["x"]) == [1, 1]
+    layout = figure.to_dict()["layout"]  # one error axis
+    assert layout["yaxis2"]["matches"] == "y"
+    assert layout["yaxis"]["type"] == layout["yaxis2"]["type"] == "log"
+
+
+def test_fits_that_are_left_out_are_said_and_names_from_files_are_words() -> None:
+    (said,) = notes(footprint_error_return([TOM, MLE], 300))
+    assert "2 of 6" in said
+    assert notes(footprint_error_return([TOM.at(TOM.telling)], 300)) == []
+    figure = footprint_error_return([TOM.at(np.zeros(2 * FITS, np.int64))], 300)
+    assert len(points(figure, "tom")[1]["x"]) == FITS
+    assert "1,500 of 3,000" in notes(figure)[0]
+    named = replace(TOM, run_id="<img src=x>", group="<b>x")
+    assert "<img" not in str(points(footprint_error_return([named], 300), "tom"))

@@ -23,7 +23,6 @@ from app.data import road
 from app.data.road import CELLS, on_road
 from app.scenes import road as scene
 from app.scenes.control import (
-    Choice,
     ReplayChoice,
     RoadChoice,
     Selection,
@@ -195,31 +194,21 @@ def told(tmp_path: Path) -> tuple[str, queue.Queue[tuple[str, Selection]]]:
     return path, told
 
 
-@pytest.mark.parametrize(
-    "choice",
-    [
-        RoadChoice((ROAD_TOM,), 60),
-        ReplayChoice("a", 1, 2, 3, 4, wish="play"),
-        StatesChoice("a", (("heaviest", (1, 2), (2.5, 3.0)), ("lightest", (), ()))),
-    ],
-)
-def test_a_page_reaches_the_scene_server(choice: Choice, told) -> None:
-    path, heard = told
-    wanted = Selection(choice, "dark", compact=True)
-    tell(path, "page", wanted)
-    assert heard.get(timeout=10) == ("page", wanted)
-
-
-def test_messages_that_fail_do_not_end_the_listening(
+def test_a_page_reaches_the_scene_server_and_messages_that_fail_do_not_end_it(
     told, caplog: pytest.LogCaptureFixture
 ) -> None:
     path, heard = told
     Client(path).close()  # as a page does that is killed before it has sent
     tell(path, "deleted", Selection(RoadChoice()))
-    for step in (3, 4):
-        tell(path, "page", Selection(RoadChoice(step=step)))
-    shown = [heard.get(timeout=10)[1] for _ in range(2)]
-    assert shown == [Selection(RoadChoice(step=step)) for step in (3, 4)]
+    choices = (
+        RoadChoice((ROAD_TOM,), 60),
+        ReplayChoice("a", 1, 2, 3, 4, wish="play"),
+        StatesChoice("a", (("heaviest", (1, 2), (2.5, 3.0)), ("lightest", (), ()))),
+    )
+    wanted = [("page", Selection(choice, "dark", compact=True)) for choice in choices]
+    for page, selection in wanted:
+        tell(path, page, selection)
+    assert [heard.get(timeout=10) for _ in wanted] == wanted
     kinds = {type(record.exc_info[1]).__name__ for record in caplog.records if record.exc_info}
     assert kinds == {"EOFError", "IndexError"}
 

@@ -104,7 +104,7 @@ def test_all_ways_are_drawn_once_both_studies_are_there(
     ways = [one for panel in found.panels for one in panel.ways]
     drawn = figures(app)[0]["data"]
     assert [(*trace["x"], *trace["y"]) for trace in drawn] == [
-        (one.distance.value, one.error.value) for one in ways
+        (distance.value, error.value) for _, distance, error in ways
     ]
     named = [trace["name"] for trace in drawn if trace["showlegend"]]
     assert sorted(named) == sorted({trace["name"] for trace in drawn})
