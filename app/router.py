@@ -4,8 +4,10 @@ import gc
 import html
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
+from threading import Event, Thread
 from types import ModuleType
 
 import numpy as np
@@ -18,6 +20,7 @@ from app import session
 from app.data import readers
 from app.parts import address
 from app.theme import LEARNER_COLOURS, NEUTRAL, rgb
+from tom.errors import UserError
 from tom.learners import SUBJECT
 from tom.plugins.kept import PAGES, Page
 
@@ -37,9 +40,8 @@ class View:
         first = module not in sys.modules
         loaded = import_module(module)
         if first:
-            # Streamlit collects garbage after every drawing of a page or a part of it. The
-            # libraries' 400 000 objects, which last as long as the process, would take 0.3 s of
-            # that each time.
+            # The libraries' 400 000 objects last as long as the process: to look through them would
+            # take 0.3 s of each collection of garbage.
             gc.freeze()
         return loaded
 
@@ -48,9 +50,15 @@ class View:
         from app.parts import scope  # here: it imports the simulator
 
         view = self.load()
-        view.page(scope.draw())
+        shown = scope.draw()
+        view.page(shown)
+        _read_ahead(shown.asked)
 
 
+AHEAD = "read ahead"
+"""the run whose buffer this session has read ahead"""
+FIRST = Event()
+"""a page has been drawn to its end"""
 PLAIN_ICON = ":material/extension:"
 
 VIEWS = (
@@ -73,6 +81,25 @@ LOGO = (
     'font-weight="700" textLength="97" lengthAdjust="spacingAndGlyphs" '
     f'fill="{LEARNER_COLOURS[SUBJECT]}">TOM Studio</text></svg>'
 )
+
+
+def _read_ahead(run_id: str) -> None:
+    """Read the buffer of a newly chosen run in the background, before Attention needs it."""
+    if not run_id or run_id == st.session_state.get(AHEAD):
+        return
+    st.session_state[AHEAD] = run_id
+    found = (run for run in readers.listing(session.links().store).runs if run.run_id == run_id)
+    run = next(found, None)
+    if run is None or run.status.alive:
+        return
+
+    def read() -> None:
+        from app.data import buffer_map  # here: it imports torch
+
+        with suppress(UserError, OSError):  # pages say what cannot be read
+            buffer_map.read_ahead(run)
+
+    Thread(target=read, daemon=True).start()
 
 
 def views() -> tuple[View | Page, ...]:
@@ -102,6 +129,7 @@ def run() -> None:
     st.set_page_config(page_title=" - ".join(filter(None, (chosen.title, task, "TOM Studio"))))
     address.write()
     session.drawn()
+    FIRST.set()
 
 
 def _listed(view: View | Page, icon: str, first: bool) -> StreamlitPage:

@@ -56,18 +56,29 @@ def heavy_and_light(
     rows: Rows, mask: NDArray[np.bool_], count: int, gap: int
 ) -> tuple[list[int], list[int]]:
     """The heaviest and the lightest rows of a region, at least `gap` steps apart."""
-    # Shuffled: among equal weights, of which there may be many, no part of the buffer is preferred.
-    index = np.random.default_rng(0).permutation(np.flatnonzero(mask))
-    by_weight = index[np.argsort(rows.weight[index], kind="stable")].tolist()
-    heavy: list[int] = []
-    light: list[int] = []
-    for picked, order in ((heavy, reversed(by_weight)), (light, by_weight)):
-        for row in order:
+
+    def first_of(order: NDArray[np.int64]) -> list[int]:
+        picked: list[int] = []
+        for row in map(int, order):
             if len(picked) == count:
                 break
             if all(abs(row - other) >= gap for other in picked):
                 picked.append(row)
-    return heavy, light
+        return picked
+
+    # Shuffled: among equal weights, of which there may be many, no part of the buffer is preferred.
+    index = np.random.default_rng(0).permutation(np.flatnonzero(mask))
+    if not len(index):
+        return [], []
+    weight = rows.weight[index]
+    # Only the ends are sorted: a picked row keeps out fewer than 2 gap others.
+    near = min(2 * gap * count, len(index)) - 1
+    low, high = np.partition(weight, (near, len(weight) - 1 - near))[[near, ~near]]
+    light, heavy = (
+        index[end][np.argsort(weight[end], kind="stable")]
+        for end in (weight <= low, weight >= high)
+    )
+    return first_of(heavy[::-1]), first_of(light)
 
 
 def windows(ended: NDArray[np.bool_], rows: Sequence[int]) -> NDArray[np.int64]:

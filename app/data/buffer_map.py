@@ -12,7 +12,7 @@ from app.data.arrays import offer
 from app.data.buffer import Rows
 from app.data.cache import VersionedCache
 from app.data.columns import AGE, DISTANCE, ERROR, ERROR_ROWS, RANK, WEIGHT, Column
-from app.data.readers import profiles
+from app.data.readers import profiles, weighed
 from app.data.selection import Mask, Selection, between, inside
 from app.data.weighings import Dataset, Weighing
 from app.theme import learner_label
@@ -23,7 +23,9 @@ from tom.analysis.planes import CHUNK
 from tom.dynamics.neural import NeuralDynamics
 from tom.envs import ROAD
 from tom.errors import UserError
+from tom.machine.memory import STUDIO_CACHE_BYTES
 from tom.policy.stored import distances as policy_distances
+from tom.record import layout
 from tom.record.reader import RunReader
 from tom.record.task_record import dimension_names
 from tom.reports.weighing_files import called
@@ -289,6 +291,20 @@ def chosen(run: RunReader, source: Source, selection: Selection) -> Mask:
         )
         mask &= inside(selection.outline.corners, x, y)
     return mask
+
+
+def read_ahead(run: RunReader) -> None:
+    """Make what the map of a run asks for first, unless its buffer is too large to be kept."""
+    parts = (run.home / layout.BUFFER).glob("*.npz")
+    if run.env == ROAD or sum(part.stat().st_size for part in parts) > STUDIO_CACHE_BYTES:
+        return
+    seen = weighed(run)
+    if own := list(fits(seen).values()):
+        last = own[-1]
+        for kind in (CONTRAST, PRINCIPAL):
+            explained(seen, f"{kind}@{last.label}", last)
+        placed(seen, f"{CONTRAST}@{last.label}")
+        columns.recorded(seen)
 
 
 def nearest(run: RunReader, source: Source, row: int) -> NDArray[np.int64]:

@@ -27,7 +27,8 @@ from tom.errors import UserError
 if TYPE_CHECKING:
     from app.scenes.frame import Frame
 
-TICK_S = 1 / 30
+TICK_S, REST_S = 1 / 30, 0.5
+"""seconds between two looks at the time, with a frame and without one"""
 
 
 class SceneServer:
@@ -151,7 +152,7 @@ def main() -> None:
     def tick() -> None:
         then = time.monotonic()
         while True:
-            time.sleep(TICK_S)
+            time.sleep(TICK_S if served.frames else REST_S)
             now = time.monotonic()
             served.tick(now - then)
             then = now

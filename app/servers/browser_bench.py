@@ -73,8 +73,7 @@ def measure(store: Path, played: str, changes: int = CHANGES) -> Iterator[Measur
 
     Raises UserError if there is no browser, RuntimeError if the studio does not start.
     """
-    began = time.monotonic()
-    with _studio(store) as (pid, address), chromium() as browser:
+    with chromium() as browser, _studio(store) as (began, pid, address):
         contexts = [browser.new_context(base_url=address) for _ in range(READERS)]
         page = _tab(contexts[0])
         page.goto(address)
@@ -144,16 +143,17 @@ def _wait(page: "Page", title: str) -> None:
 
 
 @contextmanager
-def _studio(store: Path) -> Iterator[tuple[int, str]]:
-    """A studio as a user starts it: its process, and the address that it prints."""
+def _studio(store: Path) -> Iterator[tuple[float, int, str]]:
+    """A studio as a user starts it: when, its process, and the address that it prints."""
     command = [sys.executable, "-m", "app", "--store", str(store), "--no-browser"]
+    began = time.monotonic()
     studio = processes.start(command, subprocess.PIPE)
     try:
         assert studio.stdout is not None
         found = re.search(r"http://\S+", studio.stdout.readline().decode())
         if found is None:
             raise RuntimeError("the studio did not start")
-        yield studio.pid, found[0]
+        yield began, studio.pid, found[0]
     finally:
         processes.stop([studio], STOP_S)
 

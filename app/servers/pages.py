@@ -29,7 +29,7 @@ from app.guard import Guard
 from app.links import Links
 from app.parts import shortlinks
 from app.parts.plot import LIBRARY, LIBRARY_PATH
-from app.router import VIEWS, views
+from app.router import FIRST, VIEWS, views
 from app.servers import viewers
 from app.theme import streamlit_options
 from tom import plugins
@@ -37,6 +37,8 @@ from tom.machine import processes
 
 KEPT = "max-age=31536000, immutable"
 """how long a browser keeps what never changes at its address"""
+FIRST_S = 10.0
+"""how long the imports of other pages wait for the first drawing"""
 RESTART_S = 3.0
 """from the end of a 3D server to the next"""
 LARGEST_FIGURE = 20_000_000
@@ -205,13 +207,18 @@ def app(links: Links) -> st.App:
 
 
 def options(links: Links) -> dict:
-    """Streamlit's settings: local, silent, no telemetry, no file watching."""
+    """Streamlit's settings: local, silent, no telemetry, no file watching.
+
+    Without its collection of all garbage after every drawing of a page or a part of it: Python's
+    own keeps the memory as it is, and a page at rest costs half as much.
+    """
     return {
         "server.address": links.host,
         "server.port": links.port,
         "server.headless": True,
         "server.fileWatcherType": "none",
         "server.showEmailPrompt": False,
+        "runner.postScriptGC": False,
         "browser.gatherUsageStats": False,
         # Otherwise Streamlit's cloud may send messages to a page that it has opened.
         "client.allowedOrigins": [],
@@ -222,12 +229,16 @@ def options(links: Links) -> dict:
     }
 
 
-def warm(store: str) -> None:
-    """Import the pages and read all metrics, before a visitor waits for them."""
+def warm(links: Links) -> None:
+    """Make ready what a visitor would wait for: the first page and all metrics before its drawing,
+    which gets the whole processor; then the other pages, which import torch."""
+    VIEWS[0].load()
+    for run in readers.listing(links.store).runs:
+        readers.metrics(run)
+    Thread(target=keep_scenes, args=(links,), daemon=True).start()
+    FIRST.wait(FIRST_S)
     for view in VIEWS:
         view.load()
-    for run in readers.listing(store).runs:
-        readers.metrics(run)
 
 
 def keep_scenes(links: Links) -> None:
@@ -246,8 +257,7 @@ def main() -> None:
     config.get_config_files = lambda _name: []
     plugins.load()
     links = Links.from_environment()
-    Thread(target=warm, args=(links.store,), daemon=True).start()
-    Thread(target=keep_scenes, args=(links,), daemon=True).start()
+    Thread(target=warm, args=(links,), daemon=True).start()
     app(links).run(config=options(links))
 
 

@@ -264,9 +264,14 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
             st.caption(f"An example keeps {FITS} fits at most, spread over the run.")
     with right, st.container(border=True, height="stretch"):
         st.markdown("**This fit**; dashed: every transition counts the same")
-        top = float(np.nanmax(profiles.bins))  # of all fits, so that the axis stands still
-        bins = profiles.bins[fits.index(fit)]
-        figure = weight_profile(bins, run.learner, HEIGHT, top=top, keep=run.run_id)
+
+        def profile() -> Drawn:
+            top = float(np.nanmax(profiles.bins))  # of all fits, so that the axis stands still
+            bins = profiles.bins[fits.index(fit)]
+            figure = weight_profile(bins, run.learner, HEIGHT, top=top, keep=run.run_id)
+            return Drawn.of(figure)
+
+        figure = _MAPS.get((run.path, fit), profile, run.version("profiles"))
         finite = np.maximum(np.nan_to_num(profiles.bins), FLOOR)  # JSON has no NaN
         follow = Follow(
             steps=fits, trace=np.where(finite < 1, finite.round(4), finite.round(2)).tolist()

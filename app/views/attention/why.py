@@ -100,10 +100,10 @@ def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None
 def _pick(rows: Rows) -> None:
     columns = st.columns([5, 4, 3, 3, 2, 3], vertical_alignment="bottom", gap="small")
     columns[0].markdown("**Why this weight?** Click a transition on a map, or choose one")
-    order, weight = np.argsort(rows.weight, kind="stable"), rows.weight
+    weight = rows.weight
     zero, above = np.flatnonzero(weight == 0), np.flatnonzero(weight > 0)
     suggested = {
-        "heaviest": order[-1],
+        "heaviest": len(weight) - 1 - int(weight[::-1].argmax()),  # the newest of equals
         "average": above[np.abs(weight[above] - 1).argmin()] if len(above) else None,
         "zero": zero[len(zero) // 2] if len(zero) else None,
         "newest": len(rows) - 1,
