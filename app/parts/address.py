@@ -23,7 +23,7 @@ from app import text
 T = TypeVar("T")
 SHARED = ("task", "find", "state", "learner", "preset", "tag", "group", "hide", "show",
           "run", "step")  # fmt: skip
-many = partial(st.multiselect, filter_mode="contains", select_all=False)
+many: Callable[..., list[Any]] = partial(st.multiselect, filter_mode="contains", select_all=False)
 """a choice of any number of options, which the address does not keep"""
 _PAGE, _ARRIVED = "address: page", "address: arrived"
 _KEPT, _KEEPING, _LEFT = "address: kept", "address: keeping", "address: left"

@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
@@ -144,7 +145,9 @@ def _settings(groups: dict[str, list[form.Setting]]) -> dict[str, str]:
             if i % FIELDS_IN_ROW == 0:
                 row = tab.columns(FIELDS_IN_ROW)
             path, label, words, default, choices = setting
-            field = {"key": f"start set {path}", "help": text.markdown(words) or None}
+            field: dict[str, Any] = {
+                "key": f"start set {path}", "help": text.markdown(words) or None,
+            }  # fmt: skip
             column = row[i % FIELDS_IN_ROW]
             typed = (
                 column.selectbox(label, choices, index=None, placeholder=default, **field)

@@ -56,7 +56,7 @@ def draw(scope: Scope) -> None:
         scope, lambda: right, kept.__contains__,
         lambda run: (run.run_id not in weighed, *widgets.telling(run)),
     )  # fmt: skip
-    rows = buffer.length(run) if run else 0
+    rows = 0 if run is None else buffer.length(run)
     if run is None:
         if not widgets.left_out_of_all(online, "buffer"):
             st.info("No run of a MuJoCo task has collected transitions here yet.")
@@ -65,17 +65,14 @@ def draw(scope: Scope) -> None:
         return
     else:
         found = {one.name: one for one in weighings.every(run, rows)}
-        with left:
-            if found:
-                chosen = address.choose_one(
-                    st.selectbox, "Weighed", list(found), "weighed", next(iter(found)),
-                    help="live weights of a loop of your own; results of `tom weigh`, newest first",
-                )  # fmt: skip
-            else:
-                st.selectbox("Weighed", ["not yet"], disabled=True)
         if found:
+            chosen = address.choose_one(
+                left.selectbox, "Weighed", list(found), "weighed", next(iter(found)),
+                help="live weights of a loop of your own; results of `tom weigh`, newest first",
+            )  # fmt: skip
             _weighed(found[chosen], rows)
         else:
+            left.selectbox("Weighed", ["not yet"], disabled=True)
             st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
         if isinstance(run, Dataset):  # pages do not look for the user's files
             with st.expander("Weigh this data", icon=":material/scale:"):
