@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 import streamlit as st
-from streamlit.delta_generator import DeltaGenerator
+from streamlit.elements.lib.mutable_expander_container import ExpanderContainer
 from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 from app import text
@@ -198,7 +198,7 @@ def switch(label: str, key: str, *, usual: bool = False) -> bool:
     return on
 
 
-def fold(label: str, key: str) -> DeltaGenerator:
+def fold(label: str, key: str) -> ExpanderContainer:
     """What the user may open: an expander, which knows whether it is `open`."""
     value_of(key, lambda given: given[-1:] == ["true"])
     box = st.expander(label, key=key, on_change="rerun")

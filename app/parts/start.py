@@ -140,7 +140,7 @@ def _form() -> None:
 def _settings(groups: dict[str, list[form.Setting]]) -> dict[str, str]:
     given: dict[str, str] = {}
     for tab, settings in zip(st.tabs(list(groups)), groups.values(), strict=True):
-        row: list[DeltaGenerator] = []
+        row: Sequence[DeltaGenerator] = ()
         for i, setting in enumerate(settings):
             if i % FIELDS_IN_ROW == 0:
                 row = tab.columns(FIELDS_IN_ROW)
@@ -196,7 +196,7 @@ def _cards() -> None:
     width = 2 if len(shown) == 4 else min(len(shown), IN_ROW)
     telling = telling_presets(runs)
     preset = {run.run_id: words for run, words in zip(runs, telling, strict=True)}
-    row: list[DeltaGenerator] = []
+    row: Sequence[DeltaGenerator] = ()
     for i, run in enumerate(shown):
         if i % width == 0:
             row = st.columns(width)
