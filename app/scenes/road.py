@@ -13,6 +13,7 @@ from app.data import road
 from app.data.called import told_apart
 from app.data.road import CELLS, Picture, RoadShape, cell_centres, circle, on_road, outline
 from app.figures.base import OCTAVES
+from app.figures.road import GOAL, START
 from app.scenes import solids
 from app.scenes.control import RoadChoice
 from app.scenes.frame import Frame, Vector, add_words, extent, stage
@@ -164,8 +165,8 @@ def draw_map(scene: viser.SceneApi, road: RoadShape, mode: Mode, root: str = "")
     _lines(scene, f"{root}/edge", [outline(road)], _LINE[mode], LIFT, 2.5)
     _lines(scene, f"{root}/centre", dashes(road.centre_line), _LINE[mode], LIFT, 1.5)
     for name, (x, y, radius), colour in (
-        ("start", road.start, (43, 111, 224)),
-        ("goal", road.goal, (31, 157, 85)),
+        ("start", road.start, rgb(START)),
+        ("goal", road.goal, rgb(GOAL)),
     ):
         ring = [circle(x, y, radius), circle(x, y, radius * 0.93)]
         _lines(scene, f"{root}/{name}", ring, colour, 2 * LIFT, 3.5)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studio_pages import Show, draw
+from studio_pages import draw
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import readers
@@ -75,21 +75,11 @@ def test_ghosts_stand_beside_the_episode() -> None:
     assert "region x 0" in page
 
 
-@pytest.mark.usefixtures("studio")
-def test_the_page_offers_the_film() -> None:
+def test_the_page_offers_the_film_under_the_name_that_the_run_has_now(own: Path) -> None:
     app = draw("replays", run=PENDULUM_TOM, part="Film", length="30 s")
     assert any("at half speed" in caption.value for caption in app.caption)
     assert "--cinema" in app.code[0].value
-
-
-@pytest.mark.usefixtures("studio")
-def test_the_film_has_the_name_that_the_run_has_now(
-    store: Path, tmp_path: Path, show: Show
-) -> None:
-    shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
-    show(tmp_path)
-    app = draw("replays", part="Film")
-    label(Store(tmp_path), PENDULUM_TOM, name="the long one")
+    label(Store(own), PENDULUM_TOM, name="the long one")
     [film] = app.run().get("iframe")
     assert '"title":"the long one"' in film.proto.srcdoc
 
