@@ -62,12 +62,15 @@ def _train(args: argparse.Namespace) -> int:
     codes = train_all({name: (*own, *shared, *quiet) for name, own in TRAININGS.items()})
     made = [run for run in store.runs() if run.run_id not in before]
     columns = ("environment", "learner", "steps", "last return", "best return", "run")
-    rows = []
+    rows, seen = [], dict[str, list[str]]()
     for run in sorted(made, key=lambda run: (run.env, run.learner)):
         status = run.status
-        returns = readable.score(status.last_return), readable.score(status.best_return)
-        rows.append((run.env, run.learner, str(status.env_step), *returns, run.run_id))
+        last, best = readable.score(status.last_return), readable.score(status.best_return)
+        rows.append((run.env, run.learner, str(status.env_step), last, best, run.run_id))
+        seen.setdefault(run.env, []).append(f"{run.learner} {last}")
     show("What was trained", columns, rows)
+    returns = "; ".join(f"{', '.join(of)} on {env}" for env, of in seen.items())
+    print(f"At the end a policy returned {returns}. One run of each tells no learner from another.")
     failed = [name for name, code in codes.items() if code]
     if failed:
         print(f"tom demo: failed: {', '.join(failed)}", file=sys.stderr)

@@ -1,5 +1,6 @@
 """Attention in the buffer: the map, the selection and what it chooses are the recorded rows."""
 
+from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
@@ -232,6 +233,29 @@ def test_a_network_has_a_plane_of_what_it_sees(rows: Rows, store: Path, kind: st
     assert np.ptp(place.xy, axis=0).min() > 0
     x, y = place.xy.T - place.xy.mean(0)[:, None]
     assert abs(x @ y) < 1e-3 * np.sqrt((x @ x) * (y @ y))  # as of principal components
+
+
+def test_a_buffer_that_was_read_ahead_is_not_read_again(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    buffer_map.read_ahead(info(store, PENDULUM_TOM))
+    monkeypatch.setattr(RunReader, "recorded", lambda *_, **__: pytest.fail("read again"))
+    assert map_of(in_buffer(run=PENDULUM_TOM))["planes"]
+
+
+@pytest.mark.parametrize("count", [1, 40, 400, 5000])
+def test_the_heaviest_and_lightest_are_those_of_all_rows_in_order(rows: Rows, count: int) -> None:
+    rng = np.random.default_rng(count)
+    for weight in (rng.lognormal(0, 2, count), np.ones(count), rng.integers(0, 3, count) / 1.0):
+        mask = rng.random(count) < 0.7
+        picked = buffer.heavy_and_light(replace(rows, weight=weight), mask, 9, 10)
+        for found, size in zip(picked, (weight, -weight), strict=True):
+            free = np.flatnonzero(mask)  # those that no picked row keeps out
+            for row in found:
+                assert size[row] == size[free].max()
+                assert row in free
+                free = free[np.abs(free - row) >= 10]
+            assert len(found) == 9 or not len(free)
 
 
 def test_a_row_has_its_episode_and_its_nearest(rows: Rows) -> None:
