@@ -25,7 +25,6 @@ from tom.envs import ROAD
 from tom.errors import UserError
 from tom.machine.memory import STUDIO_CACHE_BYTES
 from tom.policy.stored import distances as policy_distances
-from tom.record import layout
 from tom.record.reader import RunReader
 from tom.record.task_record import dimension_names
 from tom.reports.weighing_files import called
@@ -295,8 +294,7 @@ def chosen(run: RunReader, source: Source, selection: Selection) -> Mask:
 
 def read_ahead(run: RunReader) -> None:
     """Make what the map of a run asks for first, unless its buffer is too large to be kept."""
-    parts = (run.home / layout.BUFFER).glob("*.npz")
-    if run.env == ROAD or sum(part.stat().st_size for part in parts) > STUDIO_CACHE_BYTES:
+    if run.env == ROAD or run.buffer_bytes() > STUDIO_CACHE_BYTES:
         return
     seen = weighed(run)
     if own := list(fits(seen).values()):

@@ -326,6 +326,11 @@ class RunReader:
         last = self.arrays(layout.segment(first), lambda name: name == "reward") or {}
         return first + len(last["reward"]) if "reward" in last else 0
 
+    def buffer_bytes(self) -> int:
+        """The bytes of the buffer's files. Reads no file."""
+        firsts = layout.numbers(self.home / layout.BUFFER, ".npz")
+        return sum(_stamp(str(self.home / layout.segment(first)))[1] for first in firsts)
+
     def field_names(self) -> list[str]:
         """The names of the task's own pictures."""
         return layout.names(self.path / "fields", ".npz")
