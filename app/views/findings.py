@@ -16,6 +16,7 @@ from app.figures.statistics import intervals, two_axes
 from app.parts import address, form, jobs, widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
+from app.theme import learner_colour
 from tom.learners import SUBJECT
 
 EVERY = "Every question"
@@ -114,7 +115,7 @@ def _card(study: Study) -> None:
 def question(study: Study, found: Verdict | None) -> str:
     """The study's question, asked about the ways that it has where TOM's are not among them."""
     points = found.points if found else ()
-    if not points or any(point.learner == SUBJECT for point in points):
+    if not points or any(point.colour == learner_colour(SUBJECT) for point in points):
         return study.question
     ways = " and ".join(dict.fromkeys(point.series or point.line for point in points))
     return study.question.replace("TOM's weights", f"the weights of {ways}")

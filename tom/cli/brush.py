@@ -118,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
         },
     }
     ghosts = _ghosts(reader, models, args.step)
-    out = args.out or store.make_weighing(name)
+    out = args.out or store.new_weighing(name)
     weighing_files.write_brush(out, region, models, report, ghosts)
     print(json.dumps({"out": str(out)}) if args.json else out)
     return 0

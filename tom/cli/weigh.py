@@ -118,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
     command = shlex.join(["tom", *sys.argv[1:]])
     hours = (perf_counter() - begun) / 3600
     report = weighing_files.report(plan, weighed, args.policy, args.step, command, hours)
-    out = args.out or store.make_weighing(name)
+    out = args.out or store.new_weighing(name)
     weighing_files.write(out, plan.data, weighed, args.bins, report)
     for notice in weighing_files.notices(report):
         print(notice, file=sys.stderr)

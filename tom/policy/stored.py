@@ -141,6 +141,8 @@ def _actor(arrays: Arrays) -> tuple[StackedMLP, list[int]]:
 def _network(layers: Arrays) -> tuple[StackedMLP, list[int]]:
     """The networks of `weight_k` (M, in, out) and `bias_k` (M, out), and their sizes."""
     count = sum(name.startswith("weight_") for name in layers)
+    if not count:
+        raise ValueError("the file holds no layers")
     weights = [_parameter(layers[f"weight_{k}"], 3) for k in range(count)]
     biases = [_parameter(layers[f"bias_{k}"], 2) for k in range(count)]
     members, sizes = len(weights[0]), [weights[0].shape[1], *(bias.shape[1] for bias in biases)]

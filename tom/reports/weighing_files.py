@@ -135,8 +135,6 @@ def _unfinished(out: Path) -> Iterator[Path]:
         with whole_folder(out.absolute()) as folder:
             yield folder
     except OSError as error:
-        with suppress(OSError):  # the place in the store that was taken for it
-            out.rmdir()
         why = error.strerror or error
         raise UserError(f"cannot write {out}: {why}; name another --out") from error
 

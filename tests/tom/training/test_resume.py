@@ -145,26 +145,6 @@ def test_learnt_ends_go_on():
     check(smoke("hopper", "tom", model={"termination": "learnt"}), STOP)
 
 
-def test_a_checkpoint_from_before_exams_goes_on_without_the_one_that_it_cannot_sit():
-    training = make_training(smoke("inverted-pendulum", "tom"))
-    events = training.events()
-    before = until(events, STOP)
-    state = reloaded(training.state_dict())
-    del state["fitted"]
-    undisturbed = list(events)
-    resumed = make_training(smoke("inverted-pendulum", "tom"))
-    resumed.load_state_dict(state, collected(training, before))
-    missed, exams = list(resumed.events()), exams_of(undisturbed)
-    assert [e.env_step for e in exams] == [300, 400]
-    assert [e.env_step for e in exams_of(missed)] == [400]  # its draws are the stream's first
-    others = [[e for e in all_ if e not in exams_of(all_)] for all_ in (undisturbed, missed)]
-    assert_same_events(*others)
-
-
-def exams_of(events: list[Event]) -> list[Event]:
-    return [e for e in events if isinstance(e, Metrics) and "exam/error" in e.values]
-
-
 def test_a_run_whose_rollouts_grow_goes_on():
     rollout = {"final_length": 4, "schedule_start": 0, "schedule_end": 1}
     check(smoke("inverted-pendulum", "mle", rollout=rollout), STOP, in_episode=False)
