@@ -117,7 +117,7 @@ def test_a_discriminator_that_separates_perfectly__weights_stay_finite_and_the_r
     assert found.metrics["discriminator/accuracy"] == 1.0
     assert torch.isfinite(found.weights).all()
     assert float(found.weights.mean()) == pytest.approx(1.0, abs=1e-4)
-    [notice] = Watch(config("tom")).check(Metrics(80, found.metrics))
+    [notice] = Watch(config("tom")).check(Metrics(80, dict(found.metrics)))
     assert notice.kind == "perfect-discriminator"
     assert "--tom.label-smoothing" in notice.message
 

@@ -225,7 +225,7 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
         errors_by_age([("a", "tom", bins[last])], 5, 300, keep=run_id),
         focus(errors, 300, "model/error_policy"),
         moments_figure(bins[None], bins[None], ["a"], 100, keep=run_id),
-        improvement(WINS[:1], ["red"], 200, run_id),
+        improvement(WINS.head(1), ["red"], 200, run_id),
     ]
     return [figure.to_dict()["layout"]["uirevision"] for figure in drawn]
 
@@ -244,7 +244,7 @@ def test_every_run_stands_at_the_tick_of_its_group(runs: int) -> None:
 def test_a_p_among_several_is_shown_with_its_correction() -> None:
     said = [
         [words.partition("<br>")[2] for words in figure.layout.yaxis.ticktext]
-        for shown in (WINS, WINS[:1])
+        for shown in (WINS, WINS.head(1))
         for figure in [improvement(shown, ["red"] * len(shown), 200, "a")]
     ]
     assert [list(words)[::-1] for words in said] == [
@@ -272,7 +272,8 @@ def test_a_group_whose_runs_never_meet_has_a_legend_entry() -> None:
 
 @pytest.mark.parametrize(("dims", "cut"), [(30, True), (3, False)])
 def test_curves_of_many_dimensions_say_that_they_are_the_first(dims: int, cut: bool) -> None:
-    figure = moments_figure(*np.zeros((2, 1, 25, dims)), [], 100, "run")
+    still = np.zeros((1, 25, dims))
+    figure = moments_figure(still, still, [], 100, "run")
     assert len(traces(figure)) == 2 * min(dims, 12)
     assert ("12 of 30" in str(figure.layout)) == cut
 
