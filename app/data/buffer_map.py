@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.data import buffer, columns, weighings
-from app.data.arrays import offer
 from app.data.buffer import Rows
-from app.data.cache import VersionedCache
+from app.data.cache import VersionedCache, offer
 from app.data.columns import AGE, DISTANCE, ERROR, ERROR_ROWS, RANK, WEIGHT, Column
 from app.data.readers import profiles, weighed
 from app.data.selection import Mask, Selection, between, inside

@@ -1,18 +1,23 @@
 """Results that are shared by all visitors and made anew when their version changes.
 
 All results share one budget of bytes; those that were used least recently are dropped first.
+
+At the end are arrays that a browser fetches in binary, once: named by what they are made of. A page
+offers one; only when a browser has not kept it, it is made and sent.
 """
 
+import hashlib
 import sys
 from collections.abc import Callable, Hashable, Mapping
 from functools import wraps
 from itertools import count
-from threading import RLock
+from threading import Lock, RLock
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
 from weakref import WeakValueDictionary
 
 import pandas as pd
 from cachetools import LRUCache
+from numpy.typing import NDArray
 
 from tom.machine.memory import STUDIO_CACHE_BYTES
 from tom.record.reader import OF_LOOP, Part, RunReader
@@ -106,3 +111,26 @@ def bytes_of(value: object) -> int:
         elif hasattr(one, "parameters"):  # a torch.nn.Module; importing torch takes seconds
             waiting += [*one.parameters(), *one.buffers()]  # pyright: ignore
     return size
+
+
+ARRAYS = "api/arrays"
+OFFERED = 20_000
+"""arrays that are known at a time; each page offers its own again when it is drawn"""
+
+_MAKERS: LRUCache[str, Callable[[], NDArray]] = LRUCache(OFFERED)
+_OFFERING = Lock()
+
+
+def offer(key: tuple[object, ...], make: Callable[[], NDArray]) -> str:
+    """The address of the array of `key`, which holds its version; `make` should hold no array."""
+    name = hashlib.sha256(repr(key).encode()).hexdigest()[:32]
+    with _OFFERING:
+        _MAKERS[name] = make
+    return f"{ARRAYS}/{name}"
+
+
+def array(name: str) -> bytes | None:
+    """The bytes of an offered array, little-endian; None if no page has offered it."""
+    with _OFFERING:
+        make = _MAKERS.get(name)
+    return None if make is None else make().tobytes()

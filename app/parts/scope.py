@@ -15,8 +15,7 @@ from app import session, text
 from app.data import readers
 from app.data.called import names, task, told_apart
 from app.figures.curves import Look, looks_of
-from app.parts import address, widgets
-from app.parts.component import renderer
+from app.parts import address, renderer, widgets
 from app.theme import learner_label
 from tom.analysis.curves import curve_points
 from tom.analysis.settings import USUAL, Kind, choices, kinds_of

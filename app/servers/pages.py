@@ -23,8 +23,8 @@ from starlette.responses import (
 from starlette.routing import BaseRoute, Route
 from streamlit import config, file_util
 
-from app import glossary
-from app.data import arrays, readers, studies
+from app import text
+from app.data import cache, readers, studies
 from app.guard import Guard
 from app.links import Links
 from app.parts import shortlinks
@@ -130,7 +130,7 @@ def routes(links: Links) -> list[BaseRoute]:
         return FileResponse(LIBRARY, headers={"Cache-Control": KEPT, **viewers.PLAIN})
 
     def array(request: Request) -> Response:
-        content = arrays.content(request.path_params["name"])
+        content = cache.array(request.path_params["name"])
         if content is None:
             return PlainTextResponse("no such array", status_code=404)
         headers = {"Cache-Control": f"private, {KEPT}", **viewers.PLAIN}
@@ -163,11 +163,11 @@ def routes(links: Links) -> list[BaseRoute]:
     return [
         Route("/v/{code}", short),
         *[Route(path, forward) for path in FORWARDED],
-        Route(f"/{glossary.PATH}", lambda _: HTMLResponse(glossary.page())),
+        Route(f"/{text.GLOSSARY_PATH}", lambda _: HTMLResponse(text.glossary())),
         Route("/reports/{study}", report),
         Route("/api/health", health),
         Route(f"/{LIBRARY_PATH}", library),
-        Route(f"/{arrays.PATH}/{{name}}", array),
+        Route(f"/{cache.ARRAYS}/{{name}}", array),
         Route("/api/figure", figure, methods=["POST"]),
         *viewers.routes(links),
         *page_routes([view.PATH for view in views()]),

@@ -8,7 +8,7 @@ import pandas as pd
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
-from app import glossary, session, text
+from app import session, text
 from app.data import studies
 from app.data.studies import QUESTIONS, Study
 from app.data.verdicts import EVERY_WAY, Verdict, every_ways, verdict
@@ -72,10 +72,10 @@ def _cards(listed: Sequence[Study]) -> None:
 def _judged(found: Verdict) -> DeltaGenerator:
     """A verdict in a word and a sentence, a place for its figure, and what speaks against it."""
     st.markdown(f"### {SIGNS[found.word]} {found.word}")
-    st.markdown(glossary.linked(text.markdown(found.sentence)))
+    st.markdown(text.linked(text.markdown(found.sentence)))
     place = st.container()
     if found.against:
-        st.markdown(f"**Against it.** {glossary.linked(text.markdown(found.against))}")
+        st.markdown(f"**Against it.** {text.linked(text.markdown(found.against))}")
     return place
 
 

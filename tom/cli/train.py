@@ -32,8 +32,7 @@ from tom.readable import score
 from tom.record import RunReader, Store, checkpoint, lock, manage
 from tom.record.files import size_of
 from tom.record.task_record import card_of
-from tom.sweep.backend import FolderBackend
-from tom.sweep.driver import Driver
+from tom.sweep.driver import Driver, FolderBackend
 from tom.sweep.engine import LocalEngine
 from tom.training.plan import checked, is_done, steps_beyond, trials
 from tom.training.presets import resolve

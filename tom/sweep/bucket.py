@@ -27,7 +27,7 @@ from tom.machine import processes
 from tom.record import RunReader, Store, checkpoint, layout, lock
 from tom.record.bucket import CLAIM, Attempt, Bucket, checkpoints, fetch, newest
 from tom.record.lock import LostError
-from tom.sweep.backend import Clock, FolderBackend
+from tom.sweep.driver import Clock, FolderBackend
 
 LOOK_S = 5.0  # between two updates of a bucket's run
 LEASE_S = 600.0

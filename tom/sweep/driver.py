@@ -4,12 +4,12 @@ Every training is `tom train --run-id NAME --resume auto`, which may be given ag
 run folders are the only memory: a driver that was killed and is started again sees there which runs
 are finished and which another process is writing. Ctrl-C asks the trainings to stop; the kernel
 does the same if the driver is killed. The engine decides where the trainings run, the backend where
-the runs are stored.
+the runs are stored: a folder, or a bucket of an object store (`bucket`).
 """
 
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,9 +17,9 @@ from typing import Literal
 
 from tom import plugins
 from tom.errors import BAD_INPUT, FAILED
-from tom.record import RunReader, checkpoint, layout
+from tom.record import RunReader, Store, checkpoint, layout, lock
+from tom.record.status import DEAD_AFTER_S
 from tom.record.versions import ACCEPT
-from tom.sweep.backend import FolderBackend
 from tom.sweep.engine import Engine, Process
 from tom.training.plan import Trial, is_done, same_run
 
@@ -32,6 +32,70 @@ BACK_OFF_S = 5.0  # wait before the second attempt; it doubles with each further
 LOW_BYTES = 200e6  # with less free disk space nothing is started and no failure is counted
 STOP_S = 300.0  # a training writes its checkpoint within this time after a request
 KILL_S = 10.0  # a killed process has ended within this time
+
+Clock = Callable[[], float]
+"""gives seconds that never decrease"""
+
+
+class FolderBackend:
+    """The runs of a sweep in a folder that all trainings can write to: `store`.
+
+    Of a bucket, `store` holds the parts of them that a driver needs. Every method raises OSError if
+    the runs cannot be reached.
+
+    How long a run that another machine writes is left to it goes by this machine's own `clock`: two
+    machines' clocks may differ by any amount, so what counts is when this one saw its status
+    change, and that `lease_s` have not passed since.
+    """
+
+    lease_s = DEAD_AFTER_S
+
+    def __init__(self, store: Store, clock: Clock = time.monotonic) -> None:
+        self.store = store
+        self._clock = clock
+        self._seen: dict[str, tuple[object, float]] = {}
+        """what changes while a run is written (None: nobody claims to write it), and since when"""
+
+    def update(self, run_id: str, *, now: bool = False) -> None:
+        """Update the parts of a run in `store`: at once if `now`, else when an update is due.
+
+        The folder itself is read, so it is never out of date.
+        """
+
+    def command(self, run_id: str, options: Sequence[str]) -> list[str]:
+        """The arguments of `python -m` that start the training `tom train OPTIONS`."""
+        return ["tom", "train", *options, "--no-rerun", f"--store={self.store.path.resolve()}"]
+
+    def writer(self, run: RunReader) -> Literal["here", "away"] | None:
+        """Whether a process of this machine, or perhaps of another one, is writing the run.
+
+        By the lock, or by another machine's heartbeat that was seen to change a moment ago.
+        """
+        here = lock.written_here(run.path)
+        if lock.held(run.path):  # a shared file system may also show another machine's lock
+            return "away" if here is False else "here"
+        status = run.status
+        self._see(run.run_id, status if status.state == "running" and here is False else None)
+        return "away" if self._leased(run.run_id) else None
+
+    def ended(self, run_id: str) -> None:
+        """Note that the process that was last started for the run was seen to end.
+
+        In a folder the lock shows it, or on another machine the heartbeat.
+        """
+
+    def keep_log(self, log: Path) -> str:
+        """Keep the log of a failed training; returns its place after the end of the sweep."""
+        return str(log)
+
+    def _see(self, run_id: str, sign: object) -> None:
+        if run_id not in self._seen or self._seen[run_id][0] != sign:
+            self._seen[run_id] = (sign, self._clock())
+
+    def _leased(self, run_id: str) -> bool:
+        """Whether the run is to be left to its writer."""
+        sign, since = self._seen.get(run_id, (None, 0.0))
+        return sign is not None and self._clock() - since < self.lease_s
 
 
 @dataclass

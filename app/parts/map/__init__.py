@@ -1,6 +1,6 @@
 """The buffer as a map with linked histograms, drawn and filtered in the browser.
 
-Arrays come over HTTP in binary, once (`app.data.arrays`); what is chosen comes back when the hand
+Arrays come over HTTP in binary, once (`app.data.cache`); what is chosen comes back when the hand
 stops. Its script is three files: `rows.js` (codes and filters), `draw.js` (canvases) and `map.js`,
 `hands.js` (the part itself).
 """

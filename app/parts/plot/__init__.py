@@ -12,7 +12,7 @@ import plotly
 import plotly.graph_objects as go
 import streamlit as st
 
-from app.parts.component import renderer
+from app.parts import renderer
 
 LIBRARY = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
 LIBRARY_PATH = f"api/plotly-{plotly.__version__}.js"

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 
 import streamlit as st
 
-from app.parts import address
-from app.parts.component import renderer
+from app.parts import address, renderer
 
 STEP = "step"
 _HTML = """<div class="timeline" role="group" aria-label="Timeline">

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import streamlit as st
 
-from app import glossary, session, text
+from app import session, text
 from app.data import answer, buffer, readers
 from app.data.answer import Answer, Side, newest_share
 from app.data.cache import VersionedCache
@@ -114,9 +114,9 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
                 figure, caption = drawn
                 follow = Follow(cursor=True)
                 chart(figure, f"answer {question}", label, follow=follow, caption=caption)
-            st.markdown(glossary.linked(text.unbroken(answered.sentence)))
+            st.markdown(text.linked(text.unbroken(answered.sentence)))
             if answered.more:
-                st.caption(glossary.linked(text.unbroken(answered.more)))
+                st.caption(text.linked(text.unbroken(answered.more)))
             widgets.link_to(link, f"See it on {link.capitalize()}")
 
 

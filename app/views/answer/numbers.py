@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import streamlit as st
 
-from app import glossary, text
+from app import text
 from app.data import buffer, readers
 from app.data.buffer import Floats
 from app.data.cache import VersionedCache
@@ -110,7 +110,7 @@ def _exams(runs: Sequence[RunReader]) -> None:
     _left_out(runs, {NO_EXAM: without, f"ended before step {result.until:,.0f}": early})
     if not exams:
         return
-    st.markdown(glossary.linked(text.unbroken(verdict(result))), help=WHAT)
+    st.markdown(text.linked(text.unbroken(verdict(result))), help=WHAT)
     st.dataframe(table(result), hide_index=True, column_config=COLUMNS)
     with st.container(border=True):
         st.markdown(

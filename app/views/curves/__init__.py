@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
-from app import glossary, session, text
+from app import session, text
 from app.data import readers, tables
 from app.data.cache import VersionedCache
 from app.data.called import names, task, told_apart
@@ -112,7 +112,7 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
         with grid, st.container(border=True):
             where = f"{task(env)}: " if len(envs) > 1 else ""
             title = text.markdown(where + short_title(metric))
-            st.markdown(f"**{title}**", help=glossary.linked(text.markdown(describe(metric))))
+            st.markdown(f"**{title}**", help=text.linked(text.markdown(describe(metric))))
             if not any(len(curve.step) for curve in curves):
                 st.caption("None of these runs has recorded it yet.")
                 continue

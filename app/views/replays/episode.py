@@ -6,7 +6,7 @@ The scene has the clock; the page controls it and follows it.
 import numpy as np
 import streamlit as st
 
-from app import glossary, session, text
+from app import session, text
 from app.data import readers, replays
 from app.data.called import names
 from app.data.replays import DEFAULT_HORIZON, HORIZONS, Replay
@@ -115,7 +115,7 @@ def _numbers(replay: Replay) -> None:
         )
         if replay.drawn and not replay.road:
             words += " Its place on the ground is integrated from its velocity."
-    st.caption(glossary.linked(words))
+    st.caption(text.linked(words))
 
 
 def _play(

@@ -13,7 +13,7 @@ from streamlit.testing.v1 import AppTest
 from studio_pages import Show, answers, in_buffer, map_of
 from studio_runs import PENDULUM_TOM, info
 
-from app.data import arrays, buffer, buffer_map, columns
+from app.data import buffer, buffer_map, cache, columns
 from app.data.buffer import WINDOW, Rows, poses, windows
 from app.data.selection import between, inside
 from app.parts import timeline
@@ -179,7 +179,7 @@ def test_the_browser_gets_each_array_of_the_buffer(rows: Rows, store: Path) -> N
     given = map_of(app)
 
     def array(url: str) -> NDArray[np.uint16]:
-        content = arrays.content(url.rpartition("/")[2])
+        content = cache.array(url.rpartition("/")[2])
         assert content is not None
         return np.frombuffer(content, np.uint16)
 
@@ -193,7 +193,7 @@ def test_the_browser_gets_each_array_of_the_buffer(rows: Rows, store: Path) -> N
     assert back == pytest.approx(known, abs=1e-3)
     last = max(one["step"] for one in given["sources"])
     assert given["planes"][0]["key"] == f"contrast@{last}"
-    assert arrays.content("0" * 32) is None
+    assert cache.array("0" * 32) is None
 
 
 def test_map_and_file_have_one_policy_distance_that_of_the_fits_own_policy(store: Path) -> None:
@@ -201,7 +201,7 @@ def test_map_and_file_have_one_policy_distance_that_of_the_fits_own_policy(store
     given = {one["step"]: one for one in map_of(in_buffer(run=PENDULUM_TOM))["sources"]}
     distances = []
     for fit in RunReader(store / PENDULUM_TOM).policy_steps():
-        content = arrays.content(given[fit]["distance"].rpartition("/")[2])
+        content = cache.array(given[fit]["distance"].rpartition("/")[2])
         assert content is not None
         far = columns.decode(np.frombuffer(content, np.uint16), 0, 2)
         saved = table(run, buffer_map.sources(run)[str(fit)])["policy_distance"].to_numpy()

@@ -21,9 +21,8 @@ from tom.record.files import replace_json
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
 from tom.sweep import bucket as worker
-from tom.sweep.backend import FolderBackend
 from tom.sweep.bucket import LEASE_S, LOOK_S, BucketBackend
-from tom.sweep.driver import Driver
+from tom.sweep.driver import Driver, FolderBackend
 from tom.sweep.engine import LocalEngine
 from tom.training.plan import Trial
 

@@ -24,8 +24,7 @@ from sweeping import (
 
 from tom.errors import TRY_LATER
 from tom.record import Store, checkpoint
-from tom.sweep.backend import FolderBackend
-from tom.sweep.driver import ATTEMPTS, Driver
+from tom.sweep.driver import ATTEMPTS, Driver, FolderBackend
 from tom.sweep.engine import LocalEngine
 from tom.training.plan import Trial
 

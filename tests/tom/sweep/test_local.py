@@ -19,8 +19,7 @@ from tom.record.files import replace_json
 from tom.record.recorder import Recorder
 from tom.record.status import DEAD_AFTER_S, Status
 from tom.record.writer import RunWriter
-from tom.sweep.backend import FolderBackend
-from tom.sweep.driver import ATTEMPTS, Driver, Job
+from tom.sweep.driver import ATTEMPTS, Driver, FolderBackend, Job
 from tom.sweep.engine import LocalEngine, train_all
 from tom.sweep.projection import cost
 from tom.training.plan import Trial, checked, trials

@@ -19,8 +19,7 @@ from sweeping import WAIT_S, assert_same_runs, beyond_a_checkpoint, finish, plan
 from tom.cli import main
 from tom.machine.address import free_port
 from tom.record import RunReader, Store
-from tom.sweep.backend import FolderBackend
-from tom.sweep.driver import Driver
+from tom.sweep.driver import Driver, FolderBackend
 from tom.sweep.engine import LocalEngine
 
 ROOT = Path(__file__).parents[3]

@@ -10,8 +10,7 @@ from tom.events import Tick
 from tom.record import Store
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
-from tom.sweep.backend import FolderBackend
-from tom.sweep.driver import Driver
+from tom.sweep.driver import Driver, FolderBackend
 from tom.sweep.engine import LocalEngine
 from tom.training.plan import checked, trials
 
