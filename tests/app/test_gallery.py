@@ -10,6 +10,7 @@ from studio_pages import Show, array, draw, figures, map_of, parts, recorded, tr
 
 from app.data import studies
 from app.figures.weights import FLOOR
+from app.views.attention import LEARNERS_ON_IT
 from app.views.curves.numbers import NO_SAC
 from tom import readable
 from tom.analysis.imagine import stored_step
@@ -108,6 +109,12 @@ def test_statistics_compare_no_recording_of_sac() -> None:
     assert NO_SAC in [caption.value for caption in app.caption]
     assert not any("nothing was recorded" in caption.value for caption in app.caption)
     assert not any("SAC" in name for name in app.dataframe[0].value["group"])
+
+
+@pytest.mark.usefixtures("shown")
+def test_a_recording_of_sac_says_where_its_rows_are_weighed() -> None:
+    (told,) = draw("attention", run="hopper-sac-s0").info
+    assert LEARNERS_ON_IT in told.value
 
 
 @pytest.mark.parametrize("run", MUJOCO)

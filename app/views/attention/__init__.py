@@ -81,10 +81,13 @@ def page(scope: Scope) -> None:
         in_buffer.draw(run, 0)
         widgets.show_problems(run)
         return
-    asked = any(one.run_id == scope.asked for one in scope.runs)
+    asked = next((one for one in scope.runs if one.run_id == scope.asked), None)
     if run is None or (asked and run.run_id != scope.asked):
         which = "The chosen run has not" if asked else "No run here has"
-        st.info(f"{which} fitted a model yet: weights come with the first fit.")
+        words = f"{which} fitted a model yet: weights come with the first fit."
+        if asked and not asked.fits_model:
+            words = f"A recording of SAC fits no model. *{LEARNERS_ON_IT}* weighs its rows."
+        st.info(words)
         return
     found = readers.weighers(run) or {run.learner: run}  # by its own weights, or by live ones
     weigher = next(iter(found))
