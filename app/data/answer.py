@@ -148,7 +148,7 @@ def on_road(name: str, frames: Sequence[pd.DataFrame]) -> Answer:
     )
     sentence = (
         f"{name} puts **{percent(share.value, 0)}** of its weight on the road{_spread(share)}; a "
-        f"random transition there counts {counts} one on the rocks (median, {_count(len(found))})."
+        f"random transition there {counts} one on the rocks (median, {_count(len(found))})."
     )
     if (ratio > 1).all():
         return Answer("yes", "At the road", sentence)
