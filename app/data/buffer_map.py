@@ -296,8 +296,8 @@ def read_ahead(run: RunReader) -> None:
     if run.env == ROAD or run.buffer_bytes() > STUDIO_CACHE_BYTES:
         return
     seen = weighed(run)
-    if own := list(fits(seen).values()):
-        last = own[-1]
+    own = list(fits(seen).values())
+    if own and rows(seen, last := own[-1]) is not None:
         for kind in (CONTRAST, PRINCIPAL):
             explained(seen, f"{kind}@{last.label}", last)
         placed(seen, f"{CONTRAST}@{last.label}")

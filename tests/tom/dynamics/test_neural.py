@@ -60,7 +60,7 @@ def test_a_step_follows_the_slope_of_its_scaled_loss(kind: str, monkeypatch: pyt
             for parameter, direction in zip(model.parameters(), directions, strict=True):
                 parameter.add_(by * direction)
         loss = model.step(x, y, all_dims, one)
-        return float(loss.sum() + model.regulariser())
+        return float((loss.sum() + model.regulariser()).detach())
 
     moved(0.0)
     slope = sum(float((a * b).sum()) for a, b in zip(taken[0], directions, strict=True))
