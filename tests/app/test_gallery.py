@@ -9,11 +9,11 @@ import pytest
 from studio_pages import Show, array, draw, figures, map_of, parts, recorded, trace
 
 from app.data import studies
+from app.data.buffer import has_model
 from app.figures.weights import FLOOR
 from app.views.attention import LEARNERS_ON_IT
 from app.views.curves.numbers import NO_SAC
 from tom import readable
-from tom.analysis.imagine import stored_step
 from tom.record import RunReader, Store
 from tom.record.files import read_json, size_of
 from tom.record.integrity import verify
@@ -136,7 +136,7 @@ def test_replays_plays_its_last_episode(run: RunReader) -> None:
     shown = {metric.label: metric.value for metric in app.metric}
     episode = run.episodes(run.evaluation_steps()[-1])[0]
     assert shown["return"] == readable.score(episode.undiscounted_return)
-    assert (shown["return, imagined"] != "-") == (stored_step(run) is not None)
+    assert (shown["return, imagined"] != "-") == has_model(run)
 
 
 @pytest.mark.parametrize("run", [param for param in EACH if param.id == ROAD])

@@ -38,11 +38,6 @@ class Imagined:
     reward: Floats  # (H,)
 
 
-def stored_step(run: RunReader) -> int | None:
-    """The env step of the stored model, which may be damaged; None if there is no model."""
-    return checkpoint.model_step(run.path)
-
-
 def stored_model(run: RunReader) -> StoredModel:
     """The model in the newest checkpoint or in a small copy. Raises UserError if there is none."""
     if not run.fits_model:

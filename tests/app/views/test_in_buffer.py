@@ -1,5 +1,6 @@
 """Attention in the buffer: the map, the selection and what it chooses are the recorded rows."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
@@ -241,6 +242,14 @@ def test_a_buffer_that_was_read_ahead_is_not_read_again(
     buffer_map.read_ahead(info(store, PENDULUM_TOM))
     monkeypatch.setattr(RunReader, "recorded", lambda *_, **__: pytest.fail("read again"))
     assert map_of(in_buffer(run=PENDULUM_TOM))["planes"]
+
+
+def test_a_buffer_that_cannot_be_read_is_not_read_ahead(store: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
+    *others, _ = sorted((copy / "buffer").glob("*.npz"))  # its length is that of the last
+    for segment in others:
+        segment.write_bytes(b"torn")
+    buffer_map.read_ahead(RunReader(copy))
 
 
 @pytest.mark.parametrize("count", [1, 40, 400, 5000])

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tom.analysis.imagine import imagine, joint_positions, step_errors, stored_model, stored_step
+from tom.analysis.imagine import imagine, joint_positions, step_errors, stored_model
 from tom.analysis.ordered_data import of_run
 from tom.data.transitions import Transitions
 from tom.envs import task
@@ -17,6 +17,7 @@ from tom.events import Episode
 from tom.policy.collect import Evaluator
 from tom.policy.stored import read_policy
 from tom.record import RunReader, Store, checkpoint, layout
+from tom.record.checkpoint import model_step
 from tom.record.export import export_small
 from tom.record.integrity import verify
 from tom.road import task as road
@@ -129,7 +130,7 @@ def test_a_run_without_a_model_says_so(hopper: RunReader, tmp_path: Path):
 def test_a_small_copy_keeps_the_model_and_cannot_go_on(hopper: RunReader, tmp_path: Path):
     store = Store(tmp_path / "kept")
     small = RunReader(export_small(hopper, store.path, keep=("model", "policy")))
-    assert stored_step(small) == stored_step(hopper) == 360
+    assert model_step(small.path) == model_step(hopper.path) == 360
     episode = hopper.episodes(hopper.evaluation_steps()[-1])[0]
     obs, action = torch.from_numpy(episode.obs[:-1]), torch.from_numpy(episode.action)
     ours, theirs = (stored_model(run).predictor.predict(obs, action)[1] for run in (small, hopper))
@@ -152,7 +153,7 @@ def test_a_small_copy_without_its_model_says_so(
 ):
     monkeypatch.setattr("tom.record.thin.SMALL", 100)
     small = RunReader(export_small(hopper, tmp_path))
-    assert stored_step(small) is None
+    assert model_step(small.path) is None
     assert "model" in small.left_out
     with pytest.raises(UserError, match="left out of this small copy"):
         stored_model(small)
