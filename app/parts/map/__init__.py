@@ -14,7 +14,7 @@ import streamlit as st
 from streamlit.components.v2 import component
 from streamlit.components.v2.types import ComponentRenderer
 
-KEY = "buffer map"
+KEY, SELECTOR = "buffer map", ".buffer-map"
 TOOLS = {
     "lasso": "draw round rows to choose them",
     "box": "draw a box to choose rows",

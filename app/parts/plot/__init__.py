@@ -79,6 +79,7 @@ def chart(
     follow: Follow | None = None,
     linked: str = "",
     caption: str = "",
+    after: str = "",
 ) -> None:
     """Show `figure`.
 
@@ -87,7 +88,8 @@ def chart(
     that stores the zoom itself passes the `view`, and `viewed` is called with each new one. All
     callbacks run before the page is drawn again. With `follow` the chart goes with the page's
     timeline; charts that are `linked` by one name share their zoom along x and the pointer's line.
-    `caption` is offered with a saved file, else the label.
+    `caption` is offered with a saved file, else the label. With `after`, a CSS selector, it lets
+    that part of the page draw first.
     """
 
     def on(event: str, act: Callable[[Any], None]) -> None:
@@ -117,6 +119,7 @@ def chart(
         "follows": follows,
         "linked": linked,
         "caption": caption,
+        "after": after,
     }
     renderer("plot", _HTML)(
         key=key,

@@ -14,6 +14,17 @@ function library(path) {
   return window.tomPlotly;
 }
 
+// Plotly takes a second of the page's only thread. So a chart lets the part that it comes after draw
+// first, for three seconds at most, unless the page ends without it.
+async function turn(after) {
+  const coming = () => document.querySelector(`${after}, [data-test-script-state=running]`);
+  const drawn = () => document.querySelector(`${after}[data-drawn]`);
+  const begun = performance.now();
+  while (after && coming() && !drawn() && performance.now() - begun < 3000) {
+    await new Promise((go) => setTimeout(go, 20));
+  }
+}
+
 // The page's own colours and font, which Streamlit offers as CSS variables.
 function theme(element) {
   const style = getComputedStyle(element);
@@ -362,7 +373,8 @@ export default function ({ data, parentElement, setTriggerValue }) {
   if (data.view) take(plot, data.view);
   plot.setAttribute("aria-label", data.label);
   plot.caption = data.caption;
-  library(data.library)
+  turn(data.after)
+    .then(() => library(data.library))
     .then(async (Plotly) => {
       if (!plot.isConnected) return;
       const { data: traces, layout } = JSON.parse(data.figure);

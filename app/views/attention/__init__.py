@@ -18,6 +18,7 @@ from app.figures.base import steps_in_words
 from app.figures.road import cells, road_map
 from app.figures.weights import FLOOR, weight_map, weight_profile, with_returns
 from app.parts import address, timeline, widgets
+from app.parts.map import SELECTOR
 from app.parts.plot import Drawn, Follow, Point, chart
 from app.parts.scope import Scope
 from app.scenes.control import RoadChoice
@@ -107,14 +108,16 @@ def page(scope: Scope) -> None:
         fit = at_or_before(fits, step)
         called = text.markdown(names(scope.runs)[run.run_id])
         st.header(f"Which data {called} pays attention to", anchor=False)
-        if run.env == ROAD:
-            _road(scope, run, step)
-        else:
-            _numbers(run, profiles)
-            _even(run, profiles, fits.index(fit))
-            _exam(run, fit)
-            _over_time(run, profiles, fit)
-        in_buffer.draw(run, fit)
+        above = st.container()
+        in_buffer.draw(run, fit)  # first, because the browser takes longest for it
+        with above:
+            if run.env == ROAD:
+                _road(scope, run, step)
+            else:
+                _numbers(run, profiles)
+                _even(run, profiles, fits.index(fit))
+                _exam(run, fit)
+                _over_time(run, profiles, fit)
         if run.env != ROAD:
             _elsewhere(run, step)
         timeline.draw(fits, evaluations, step)
@@ -262,7 +265,10 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
         version = run.version("profiles"), loop.version("metrics")
         figure = _MAPS.get((run.path, mode), drawn, version)
         label = "weight of each part of the buffer at every fit, and the returns below"
-        chart(figure, "weight map", label, partial(_go_to, fits), follow=Follow(cursor=True))
+        chart(
+            figure, "weight map", label, partial(_go_to, fits), follow=Follow(cursor=True),
+            after=SELECTOR,
+        )  # fmt: skip
         if run.small_copy and len(fits) >= FITS:
             st.caption(f"An example keeps {FITS} fits at most, spread over the run.")
     with right, st.container(border=True, height="stretch"):
@@ -279,7 +285,8 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
         follow = Follow(
             steps=fits, trace=np.where(finite < 1, finite.round(4), finite.round(2)).tolist()
         )
-        chart(figure, "profile", "mean weight, oldest to newest transitions", follow=follow)
+        label = "mean weight, oldest to newest transitions"
+        chart(figure, "profile", label, follow=follow, after=SELECTOR)
 
 
 def _go_to(fits: list[int], point: Point) -> None:
