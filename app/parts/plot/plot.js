@@ -14,13 +14,14 @@ function library(path) {
   return window.tomPlotly;
 }
 
-// Plotly takes a second of the page's only thread. So a chart lets the part that it comes after draw
-// first, for three seconds at most, unless the page ends without it.
+// Plotly takes a second of the page's only thread. So it is loaded when the rest of the page is there,
+// and a chart that comes after another part lets that draw first: three seconds later at most.
 async function turn(after) {
-  const coming = () => document.querySelector(`${after}, [data-test-script-state=running]`);
-  const drawn = () => document.querySelector(`${after}[data-drawn]`);
+  const coming = [after, "[data-test-script-state=running]", "[data-testid=stSkeleton]"].filter(Boolean);
   const begun = performance.now();
-  while (after && coming() && !drawn() && performance.now() - begun < 3000) {
+  while (performance.now() - begun < 3000) {
+    const mayDraw = after ? document.querySelector(`${after}[data-drawn]`) : window.tomPlotly;
+    if (mayDraw || !document.querySelector(coming.join())) return;
     await new Promise((go) => setTimeout(go, 20));
   }
 }
