@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from app.data.cache import VersionedCache, cached
+from app.data.cache import cached
 from app.data.readers import profiles, reader
 from tom.data.transitions import Transitions, episodes
 from tom.envs import ROAD, Task
@@ -222,24 +222,17 @@ def stored_policy(run: RunReader, step: int | None = None) -> "StoredPolicy | No
     return found if isinstance(found, StoredPolicy) else None
 
 
-_ERRORS_ON: VersionedCache[Floats | None] = VersionedCache()
-
-
+@cached("buffer", "model")
 def errors_on(run: RunReader, other: RunReader) -> Floats | None:
     """Error (K,) of `other`'s stored model on rows spread evenly over `run`'s buffer.
 
     None if either cannot be read.
     """
+    from tom.analysis.imagine import step_errors, stored_model
 
-    def read() -> Floats | None:
-        from tom.analysis.imagine import step_errors, stored_model
-
-        whole = recorded(run).rows
-        with suppress(UserError):
-            if len(whole):
-                part = whole[spread(len(whole), SHARED_ROWS)]
-                return step_errors(stored_model(other).predictor, part).astype(np.float64)
-        return None
-
-    version = run.version("buffer"), other.version("model")
-    return _ERRORS_ON.get((run.path, other.path), read, version)
+    whole = recorded(run).rows
+    with suppress(UserError):
+        if len(whole):
+            part = whole[spread(len(whole), SHARED_ROWS)]
+            return step_errors(stored_model(other).predictor, part).astype(np.float64)
+    return None

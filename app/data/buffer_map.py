@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from app.data import buffer, columns, weighings
 from app.data.buffer import Rows
-from app.data.cache import VersionedCache, offer
+from app.data.cache import cached, offer
 from app.data.columns import AGE, DISTANCE, ERROR, ERROR_ROWS, RANK, WEIGHT, Column
 from app.data.readers import profiles, weighed
 from app.data.selection import Mask, Selection, between, inside
@@ -101,21 +101,14 @@ def rows(run: RunReader, source: Source) -> Rows | None:
     return buffer.weighed_rows(run, source.weight, source.end)
 
 
+@cached("buffer")
 def distances(run: RunReader, source: Source) -> buffer.Floats | None:
     """The distance (N,) of each row's action to the policy of these weights; None if not known."""
     if source.weighing is not None:
         return source.weighing.policy_distance
-
-    def make() -> buffer.Floats | None:
-        policy = buffer.stored_policy(run, int(source.label))
-        rows = buffer.recorded(run).rows[source.first : source.end].torch()
-        return None if policy is None else policy_distances(policy.mean, rows).astype(np.float64)
-
-    version = run.version("buffer"), source.version
-    return _DISTANCES.get((run.path, source.label), make, version)
-
-
-_DISTANCES: VersionedCache[buffer.Floats | None] = VersionedCache()
+    policy = buffer.stored_policy(run, int(source.label))
+    rows = buffer.recorded(run).rows[source.first : source.end].torch()
+    return None if policy is None else policy_distances(policy.mean, rows).astype(np.float64)
 
 
 def knows_policy(run: RunReader, source: Source) -> bool:
@@ -155,16 +148,18 @@ def placed(run: RunReader, key: str) -> Placed | None:
     A key is `contrast@WEIGHTS` or `principal@WEIGHTS`, where WEIGHTS are a fit's step or the label
     of a weighing; `policy@`; `model@`; or `two@NAME|NAME`, dimensions by their names.
     """
+    return _placed(run, key, _fitted(run, key))
+
+
+def _fitted(run: RunReader, key: str) -> Source | None:
+    """The weights that a plane is fitted to; None for a plane of others."""
     kind, _, of = key.partition("@")
-    source = sources(run).get(of) if kind in (CONTRAST, PRINCIPAL) else None
-    version = run.version("buffer"), run.version("model"), source and source.version
-    return _PLACED.get((run.path, key), lambda: _placed(run, key, kind, of, source), version)
+    return sources(run).get(of) if kind in (CONTRAST, PRINCIPAL) else None
 
 
-_PLACED: VersionedCache[Placed | None] = VersionedCache()
-
-
-def _placed(run: RunReader, key: str, kind: str, of: str, source: Source | None) -> Placed | None:
+@cached("buffer", "model")
+def _placed(run: RunReader, key: str, source: Source | None) -> Placed | None:
+    kind, _, of = key.partition("@")
     if kind == TWO:
         x, _, y = of.partition("|")
         known = {one.name for one in columns.recorded(run)}
@@ -180,20 +175,13 @@ def _placed(run: RunReader, key: str, kind: str, of: str, source: Source | None)
     return Placed.of(key, plane.names, planes.of_rows(plane, buffer.recorded(run).rows))
 
 
+@cached("buffer")
 def _plane(run: RunReader, kind: str, source: Source) -> planes.Plane:
     """The contrast plane, or the principal components, of the rows of these weights."""
-
-    def make() -> planes.Plane:
-        part = buffer.recorded(run).rows[source.first : source.end]
-        if kind == CONTRAST:
-            return planes.contrast_of(part, source.weight, named(run))
-        return planes.principal_of(part, named(run))
-
-    version = run.version("buffer"), source.version
-    return _PLANES.get((run.path, kind, source.label), make, version)
-
-
-_PLANES: VersionedCache[planes.Plane] = VersionedCache()
+    part = buffer.recorded(run).rows[source.first : source.end]
+    if kind == CONTRAST:
+        return planes.contrast_of(part, source.weight, named(run))
+    return planes.principal_of(part, named(run))
 
 
 def layers(run: RunReader) -> dict[str, str]:
@@ -232,27 +220,18 @@ def _model(run: RunReader) -> NeuralDynamics | None:
     return model if isinstance(model, NeuralDynamics) else None
 
 
+@cached("buffer", "model")
 def explained(run: RunReader, key: str, source: Source) -> float:
     """The share of the log weights that a plane explains on held-out rows; NaN without a plane."""
-
-    def make() -> float:
-        part = spread(len(source.weight), JUDGED)
-        kind, _, of = key.partition("@")
-        fitted = sources(run).get(of) if kind in (CONTRAST, PRINCIPAL) else None
-        if fitted is not None:  # a plane that is not shown needs no more rows than these
-            rows = buffer.recorded(run).rows[source.first + part]
-            xy = planes.of_rows(_plane(run, kind, fitted), rows)
-        elif (place := placed(run, key)) is not None:
-            xy = place.xy[source.first + part]
-        else:
-            return np.nan
-        return planes.explained(xy, source.weight[part])
-
-    version = run.version("buffer"), run.version("model"), source.version
-    return _EXPLAINED.get((run.path, key, source.label), make, version)
-
-
-_EXPLAINED: VersionedCache[float] = VersionedCache()
+    part = spread(len(source.weight), JUDGED)
+    if fitted := _fitted(run, key):  # a plane that is not shown needs no more rows than these
+        rows = buffer.recorded(run).rows[source.first + part]
+        xy = planes.of_rows(_plane(run, key.partition("@")[0], fitted), rows)
+    elif (place := placed(run, key)) is not None:
+        xy = place.xy[source.first + part]
+    else:
+        return np.nan
+    return planes.explained(xy, source.weight[part])
 
 
 def coded(run: RunReader, source: Source, name: str) -> tuple[columns.Codes, Column] | None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable, Mapping
 from functools import wraps
 from itertools import count
 from threading import Lock, RLock
-from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
+from typing import Any, Generic, ParamSpec, TypeVar
 from weakref import WeakValueDictionary
 
 import pandas as pd
@@ -63,26 +63,30 @@ class VersionedCache(Generic[T]):
         return made
 
 
-Read = Callable[Concatenate[RunReader, P], T]
+def cached(*parts: Part) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Cache a function of runs until one of these parts of them changes.
 
-
-def cached(*parts: Part) -> Callable[[Read[P, T]], Read[P, T]]:
-    """Cache a function `(run, *arguments)` until one of these parts of the run changes.
-
-    Of a part that has steps it is that of the first argument. Parts that the function reads from
-    several runs need a VersionedCache of their own.
+    Of a part that has steps it is that of the first number. Other arguments are parts of the key;
+    one with a `version` is so by its `label`, and a new version of it replaces the old one, too.
     """
+    of_loop = {*parts} <= {*OF_LOOP}
 
-    def of(read: Read[P, T]) -> Read[P, T]:
+    def of(read: Callable[P, T]) -> Callable[P, T]:
         cache: VersionedCache[T] = VersionedCache()
 
         @wraps(read)
-        def get(run: RunReader, *args: P.args, **kwargs: P.kwargs) -> T:
+        def get(*args: P.args, **kwargs: P.kwargs) -> T:
             assert not kwargs, "a key has no names"
-            step = args[0] if args and isinstance(args[0], int) else 0
-            version = tuple(run.version(part, step) for part in parts)
-            place = run.home if {*parts} <= {*OF_LOOP} else run.path
-            return cache.get((place, *args), lambda: read(run, *args, **kwargs), version)
+            step = next((one for one in args if isinstance(one, int)), 0)
+            key, version = list[Hashable](), list[Hashable]()
+            for one in args:
+                if isinstance(one, RunReader):
+                    key.append(one.home if of_loop else one.path)
+                    version += [one.version(part, step) for part in parts]
+                else:
+                    key.append(getattr(one, "label", one))
+                    version.append(getattr(one, "version", None))
+            return cache.get(tuple(key), lambda: read(*args, **kwargs), tuple(version))
 
         return get
 

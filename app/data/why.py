@@ -7,9 +7,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from app.data import buffer
 from app.data.buffer import Floats, Rows
 from app.data.buffer_map import Source
-from app.data.cache import VersionedCache
+from app.data.cache import VersionedCache, cached
 from app.data.readers import reader
 from app.data.weighings import Weighing
 from tom.analysis import why
@@ -171,37 +172,35 @@ class Rollouts:
     own: bool  # whether the policy is that of the step that was asked for, not the run's last
 
 
-_ROLLOUTS: VersionedCache[Rollouts | str] = VersionedCache()
-
-
 def rollouts(run: RunReader, rows: Rows, row: int, step: int) -> Rollouts | str:
     """Rollouts from a row by the policy of `step`, or by the run's last if that was not kept.
 
     A text with the reason if there are none.
     """
+    policy_step = step if run.has_policy(step) else None
+    if run.env not in ENVS:
+        return f"they are drawn for the built-in tasks, and {run.env} is none of them"
+    if not run.has_policy(policy_step):
+        return "the policy of this fit was not kept, and the run has no last one"
+    return _rollouts(run, step, rows.first + row, policy_step)
 
-    def make() -> Rollouts | str:
-        if run.env not in ENVS:
-            return f"they are drawn for the built-in tasks, and {run.env} is none of them"
-        policy_step = step if run.has_policy(step) else None
-        if not run.has_policy(policy_step):
-            return "the policy of this fit was not kept, and the run has no last one"
-        try:
-            known, kept = task(run.env), stored_model(run)
-            policy = load_policy(str(run.path), Store(run.home.parent), known, policy_step)
-        except UserError as error:
-            return str(error)
-        if not isinstance(kept.predictor, NeuralDynamics):
-            return "its model draws no samples"
-        start, generator = rows.rows.torch().obs[row], torch.Generator().manual_seed(0)
-        paths = why.rollouts(
-            kept.predictor, policy, known.terminated, start, STEPS, ROLLOUTS, generator
-        )
-        own = policy_step is not None or step == reader(run).buffer_length()
-        return Rollouts(paths.numpy().astype(np.float64), kept.env_step, own)
 
-    version = run.version("model"), run.version("policies", step), run.has_policy()
-    return _ROLLOUTS.get((run.path, rows.first + row, step, version), make)
+@cached("model", "policies", "buffer")
+def _rollouts(run: RunReader, step: int, row: int, policy_step: int | None) -> Rollouts | str:
+    try:
+        known, kept = task(run.env), stored_model(run)
+        policy = load_policy(str(run.path), Store(run.home.parent), known, policy_step)
+    except UserError as error:
+        return str(error)
+    if not isinstance(kept.predictor, NeuralDynamics):
+        return "its model draws no samples"
+    start = buffer.recorded(run).rows[row : row + 1].torch().obs[0]
+    generator = torch.Generator().manual_seed(0)
+    paths = why.rollouts(
+        kept.predictor, policy, known.terminated, start, STEPS, ROLLOUTS, generator
+    )
+    own = policy_step is not None or step == buffer.length(run)
+    return Rollouts(paths.numpy().astype(np.float64), kept.env_step, own)
 
 
 def recorded_after(rows: Rows, row: int) -> NDArray[np.float32]:
