@@ -15,10 +15,9 @@ from app.data.readers import profiles, weighed
 from app.data.selection import Mask, Selection, between, inside
 from app.data.weighings import Dataset, Weighing
 from app.theme import learner_label
-from tom.analysis import planes
+from tom.analysis import planes, why
 from tom.analysis.brush import AS_IT_IS
 from tom.analysis.imagine import stored_model
-from tom.analysis.planes import CHUNK
 from tom.dynamics.neural import NeuralDynamics
 from tom.envs import ROAD
 from tom.errors import UserError
@@ -286,25 +285,11 @@ def read_ahead(run: RunReader) -> None:
 def nearest(run: RunReader, source: Source, row: int) -> NDArray[np.int64]:
     """The recorded numbers (NEAREST,) of the rows of the buffer nearest to a recorded row.
 
-    By (s, a, s'), each dimension in its standard deviations.
+    As the policy's nearest (`tom.analysis.why`): by (s, a, s' - s) in standard deviations.
     """
-    part = buffer.recorded(run).rows[source.first : source.end]
-    mean, scale = planes.standard(planes.features(part[spread(len(part), JUDGED)]))
-    every_feature = planes.Plane(np.eye(len(scale)), mean, scale, ("", ""))
+    part = buffer.recorded(run).rows[source.first : source.end].torch()
     here = row - source.first
-    own = every_feature.project(planes.features(part[here : here + 1]))
-    far = np.concatenate(
-        [
-            np.square(
-                every_feature.project(planes.features(part[first : first + CHUNK])) - own
-            ).sum(1)
-            for first in range(0, len(part), CHUNK)
-        ]
-    )
-    far[here] = np.inf
-    count = min(NEAREST, len(far) - 1)
-    near = np.argpartition(far, count - 1)[:count] if count > 0 else np.zeros(0, np.int64)
-    return source.first + near[np.argsort(far[near], kind="stable")]
+    return source.first + why.nearest(part, here, part, NEAREST, itself=here).index.numpy()
 
 
 def given_plane(run: RunReader, key: str) -> dict | None:

@@ -271,7 +271,8 @@ def test_a_row_has_its_episode_and_its_nearest(rows: Rows) -> None:
     given = map_of(in_buffer(run=PENDULUM_TOM, step=str(FIT), row=str(rows.first + 7)))
     same = rows.first + np.flatnonzero(rows.episode == rows.episode[7])
     assert given["path"] == [same[0], same[-1]]
-    part = np.concatenate([rows.rows.obs, rows.rows.action, rows.rows.next_obs], 1)
+    move = np.asarray(rows.rows.next_obs) - rows.rows.obs
+    part = np.concatenate([rows.rows.obs, rows.rows.action, move], 1)
     gap = np.square((part - part[7]) / part.std(0)).sum(1)
     assert len(given["near"]) == 10
     assert len(set(given["near"]) & set(rows.first + np.argsort(gap)[1:11])) >= 8  # of other scales
