@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -59,26 +60,19 @@ def stop(store: Store, run_id: str) -> None:
     """Ask the process that writes a run to stop after its step, with a checkpoint.
 
     Raises UserError if the run is not training, or not in a process of this machine that may be
-    signalled. A pidfd is opened before the check, so that no other process can get the signal.
+    signalled.
     """
     run = store.run(run_id)
     if not run.status.alive:
         raise UserError(f"run '{run_id}' is not in training: nothing to stop")
-    elsewhere = UserError(
-        f"run '{run_id}' trains on another machine or for another user: stop it there"
-    )
-    try:
-        process = os.pidfd_open(run.status.pid)
-    except (OSError, AttributeError):  # there are none but in Linux
-        raise elsewhere from None
-    try:
-        if not lock.opened_by(run.status.pid, run.path):
-            raise elsewhere
-        signal.pidfd_send_signal(process, signal.SIGTERM)
-    except OSError:
-        raise elsewhere from None
-    finally:
-        os.close(process)
+    here = False
+    with suppress(OSError):  # no such process, or another user's
+        if here := lock.opened_by(run.status.pid, run.path):
+            os.kill(run.status.pid, signal.SIGTERM)
+    if not here:
+        raise UserError(
+            f"run '{run_id}' trains on another machine or for another user: stop it there"
+        )
 
 
 def memory(pid: int, run: Path) -> int | None:

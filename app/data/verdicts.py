@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from math import exp, isfinite, log, nan
 from statistics import median
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from app.data import called, studies
 from app.data.studies import Study
@@ -87,10 +87,9 @@ def _tables(study: Study) -> Tables:
 
 def verdict(study: Study) -> Verdict | None:
     """The verdict on a study's question; None without a rule for it, or without its tables."""
-    rule = RULES.get(study.verb)
     try:
-        return None if rule is None else rule(_tables(study))
-    except (LookupError, ValueError, StopIteration):  # tables of another version
+        return RULES[study.verb](_tables(study))
+    except (LookupError, ValueError, StopIteration):  # or tables of another version
         return None
 
 
@@ -125,7 +124,7 @@ def _footprint(tables: Tables) -> Verdict:
     shown = sorted((rows[way] for way in LABELS if way in rows), key=lambda row: row["distance"])
     points = [_point(LABELS[row["way"]], "", row, "distance") for row in shown]
     axis = "distance to the policy (1: unweighted)"
-    return Verdict(_judged(ours), sentence, " ".join(said), axis, 1, points)
+    return Verdict(_by_rows(ours), sentence, " ".join(said), axis, 1, points)
 
 
 def _capacity(tables: Tables) -> Verdict:
@@ -152,13 +151,13 @@ def _capacity(tables: Tables) -> Verdict:
     against = f"Corrected for all {len(table)} tests of the table, the least p is {least:.2g}."
     points = [_point(row["model"], LABELS[row["way"]], row, "ratio") for row in table]
     axis = "model error (1: as with uniform weights)"
-    return Verdict(_judged(ours), sentence, against, axis, 1, points)
+    return Verdict(_by_rows(ours), sentence, against, axis, 1, points)
 
 
 def _improvement(tables: Tables) -> Verdict:
     difference = "difference, "
     table = [row for row in tables["summary"] if row["what"].startswith(difference)]
-    tests = [(row["p"] * len(table), 2 * row["better in trials"] > row["n"]) for row in table]
+    sides = [_side(row["p"] * len(table), 2 * row["better in trials"] > row["n"]) for row in table]
     for row in table:
         row["what"] = row["what"].removeprefix(difference)
         row["share"] = row["better in trials"] / row["n"]
@@ -173,17 +172,17 @@ def _improvement(tables: Tables) -> Verdict:
     )
     points = [_point(row["what"], "", row, "share") for row in table]
     axis = "share of trials that return more"
-    return Verdict(_by_tests(tests), sentence, against, axis, 0.5, points)
+    return Verdict(word_of(sides), sentence, against, axis, 0.5, points)
 
 
 def _returns(tables: Tables) -> Verdict:
-    shown = {"TOM": LABELS[PRINTED], "TOM, mended": LABELS[MENDED]}
-    shown = {label: label for label in BY_LABEL} | shown
+    of_tom = {"TOM": LABELS[PRINTED], "TOM, mended": LABELS[MENDED]}
+    shown = {label: label for label in BY_LABEL} | of_tom
     table = [
         row for row in tables["improvement"] if row["against"] == "MLE" and row["learner"] in shown
     ]
-    ours = [row for row in table if row["learner"].startswith("TOM")]
-    tests = [(row["p of all"], row["wins"] > 0.5) for row in ours]
+    ours = [row for row in table if row["learner"] in of_tom]
+    sides = [_side(row["p of all"], row["wins"] > 0.5) for row in ours]
     chances = [
         f"{shown[row['learner']]} {10 * row['wins']:.0f} times in 10 (p {row['p']:.2g})"
         for row in ours
@@ -191,8 +190,8 @@ def _returns(tables: Tables) -> Verdict:
     ]
     sentence = f"By best return, a random run beats one of MLE: {', '.join(chances)}."
     least = min(row["p of all"] for row in ours)
-    remarks = dict.fromkeys(str(row["remark"]) for row in ours if isinstance(row["remark"], str))
-    few = "".join(f" {one[0].upper()}{one[1:]}." for one in list(remarks)[:1])
+    remarks = (row["remark"] for row in ours if isinstance(row["remark"], str))
+    few = next((f" {one[0].upper()}{one[1:]}." for one in remarks), "")
     against = f"Corrected for all comparisons of the table, the least p is {least:.2g}.{few}"
     points = [
         Point(
@@ -203,9 +202,8 @@ def _returns(tables: Tables) -> Verdict:
         )
         for row in table
     ]  # fmt: skip
-    return Verdict(
-        _by_tests(tests), sentence, against, "a random run beats one of MLE", 0.5, points
-    )
+    axis = "a random run beats one of MLE"
+    return Verdict(word_of(sides), sentence, against, axis, 0.5, points)
 
 
 def _focus(tables: Tables) -> Verdict:
@@ -213,12 +211,13 @@ def _focus(tables: Tables) -> Verdict:
               "tom exact": "TOM exact"}  # fmt: skip
     rows = [row for row in tables["summary"] if row["rival"] in called]
     ours = [row for row in rows if row["rival"].startswith("tom")]
-    gaps: dict[str, list[tuple[str, str, float]]] = {}
-    for row in ours:
-        less = 1 - row["policy / mle"]
-        gaps.setdefault(called[row["rival"]], []).append(("", row["recording"], less))
-    signs = {name: sign_test(of) for name, of in gaps.items()}
-    tests = [(one.p * len(signs), 2 * one.above > one.n) for one in signs.values()]
+    signs = {
+        called[name]: sign_test(
+            ("", row["recording"], 1 - row["policy / mle"]) for row in ours if row["rival"] == name
+        )
+        for name in dict.fromkeys(row["rival"] for row in ours)
+    }
+    sides = [_side(one.p * len(signs), 2 * one.above > one.n) for one in signs.values()]
     counts = [f"{name} on {one.above} of {one.n}" for name, one in signs.items()]
     sentence = (
         "On new steps of the policy the model errs less than MLE's, of all recordings: "
@@ -238,20 +237,18 @@ def _focus(tables: Tables) -> Verdict:
         for row in rows
     ]  # fmt: skip
     axis = "model error where the policy goes (1: as MLE's)"
-    return Verdict(_by_tests(tests), sentence, against, axis, 1, points)
+    return Verdict(word_of(sides), sentence, against, axis, 1, points)
 
 
 def _accepted(tables: Tables) -> Verdict:
     """By the numbers of the acceptance, which has no figure of its own."""
     judged = [row for row in tables["checks"] if str(row["met"]) in ("True", "False")]
-    if not judged:
-        raise ValueError("nothing was judged")
     missed = [str(row["name"]) for row in judged if str(row["met"]) == "False"]
     met = len(judged) - len(missed)
     sentence = f"{met} of the {len(judged)} numbers are met that were fixed beforehand."
     more = f", and {len(missed) - NAMED} more" if len(missed) > NAMED else ""
     against = f"Not met: {'; '.join(missed[:NAMED])}{more}." if missed else ""
-    return Verdict(word_of(met, len(missed), len(judged)), sentence, against)
+    return Verdict(word_of([1] * met + [-1] * len(missed)), sentence, against)
 
 
 RULES: dict[str, Callable[[Tables], Verdict]] = {
@@ -267,41 +264,39 @@ RULES: dict[str, Callable[[Tables], Verdict]] = {
 """of every study but `online`, whose profiles are of one seed each: no test, no interval"""
 
 
-def _judged(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The word for rows of a quantity that is better below 1. Raises ValueError without any."""
-    if not rows:
-        raise ValueError("nothing to judge")
-    sides = []
-    for row in rows:
-        better, worse = row["high"] < 1, row["low"] > 1
-        if not isfinite(row["low"]) and row["p"] * len(rows) < SIGNIFICANT:
-            better = 2 * row["better on"] > row["recordings"]
-            worse = not better
-        sides.append((better, worse))
-    better, worse = map(sum, zip(*sides, strict=True))
-    return word_of(better, worse, len(rows))
+def _by_rows(rows: Sequence[Row]) -> str:
+    """The word for rows of a quantity that is better below 1, by their intervals or tests."""
+    return word_of(
+        [
+            (row["high"] < 1) - (row["low"] > 1)
+            if isfinite(row["low"])
+            else _side(row["p"] * len(rows), 2 * row["better on"] > row["recordings"])
+            for row in rows
+        ]
+    )
 
 
-def _by_tests(tests: Sequence[tuple[float, bool]]) -> str:
-    """The word for tests: the corrected p of each, and whether it speaks for the better."""
-    told = [better for p, better in tests if p < SIGNIFICANT]
-    return word_of(sum(told), len(told) - sum(told), len(tests))
+def _side(p: float, better: bool) -> int:
+    """The outcome of a test by its corrected p: 1 for better, -1 for worse, 0 for neither."""
+    return (1 if better else -1) if p < SIGNIFICANT else 0
 
 
-def _sure(row: Mapping[str, Any], number: Callable[[float], str]) -> str:
+def _sure(row: Row, number: Callable[[float], str]) -> str:
     """How sure a row's number is: its interval, else its test."""
     if isfinite(row["low"]):
         return f"{number(row['low'])} to {number(row['high'])}"
     return f"p {row['p']:.2g}, {row['recordings']:.0f} recordings"
 
 
-def word_of(better: int, worse: int, count: int) -> str:
-    """Of `count` comparisons, so many are better or worse beyond doubt."""
-    if not better + worse:
+def word_of(sides: Sequence[int]) -> str:
+    """The word for comparisons: 1 is better, -1 worse, 0 neither. Raises ValueError without any."""
+    if not sides:
+        raise ValueError("nothing to judge")
+    if not any(sides):
         return "No difference seen"
-    if better == count:
+    if min(sides) == 1:
         return "Yes"
-    return "In part" if better else "No"
+    return "In part" if max(sides) == 1 else "No"
 
 
 def _point(line: str, series: str, row: Row, of: str) -> Point:
@@ -323,17 +318,16 @@ def every_ways(listed: Sequence[Study]) -> dict[str, Verdict]:
 
     By that ending: `footprint` goes with `capacity`, `footprint-ways` with `capacity-ways`.
     """
-    alike: dict[str, list[Study]] = {}
+    alike: dict[str, dict[str, Study]] = {}
     for study in listed:
-        alike.setdefault(study.name.removeprefix(study.verb), []).append(study)
+        alike.setdefault(study.name.removeprefix(study.verb), {}).setdefault(study.verb, study)
     return {ending: found for ending, of in alike.items() if (found := every_way(of)) is not None}
 
 
-def every_way(listed: Sequence[Study]) -> Verdict | None:
-    """The ways at the moments that both studies have; None without such moments."""
-    tables = {study.verb: _tables(study) for study in reversed(listed)}  # the first one counts
+def every_way(of: Mapping[str, Study]) -> Verdict | None:
+    """The ways at the moments that both studies have, by verb; None without such moments."""
     try:
-        near, errs = (tables[name]["moments"] for name in ("footprint", "capacity"))
+        near, errs = (_tables(of[name])["moments"] for name in ("footprint", "capacity"))
         shared = {*map(trial_of, near)} & {*map(trial_of, errs)}
         near, errs = ([row for row in rows if trial_of(row) in shared] for rows in (near, errs))
         distances = [(row, row["footprint"]) for row in telling(near)]
@@ -376,12 +370,12 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
 
     A task says yes if a way has both intervals below uniform weights, no if each errs more.
     """
-    yes, no, told = 0, 0, []
+    sides, told = [], []
     for panel in panels:
         ways = panel.ways[1:]
         both = [LABELS.get(way, way) for way, near, e in ways if near.high < 1 and e.high < 1]
         all_worse = all(error.low > 1 for *_, error in ways)
-        yes, no = yes + bool(both), no + all_worse
+        sides.append(bool(both) - all_worse)
         none = "none, all err more" if all_worse else "none"
         told.append(f"{called.task(panel.env)}: {', '.join(both) or none}.")
     sentence = (
@@ -396,7 +390,7 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
         f"Intervals over so few recordings are too narrow{few}, and "
         f"{2 * sum(len(panel.ways) - 1 for panel in panels)} are read at once, uncorrected.{none}"
     )
-    return word_of(yes, no, len(panels)), sentence, against
+    return word_of(sides), sentence, against
 
 
 def _caption(panels: Sequence[Panel], one_sided: Collection[str]) -> str:

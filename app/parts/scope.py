@@ -11,11 +11,11 @@ import pyarrow as pa
 import pyarrow.compute as compute
 import streamlit as st
 
-from app import session, text
+from app import parts, session, text
 from app.data import readers
 from app.data.called import names, task, told_apart
 from app.figures.curves import Look, looks_of
-from app.parts import address, renderer, widgets
+from app.parts import address, widgets
 from app.theme import learner_label
 from tom.analysis.curves import curve_points
 from tom.analysis.settings import USUAL, Kind, choices, kinds_of
@@ -296,22 +296,12 @@ def _list(scope: Scope) -> None:
         if of_section:
             sections.append({"title": title, "groups": groups, "more": more})
 
-    def on(event: str, act: Callable[..., None]) -> Callable[[], None]:
-        def told() -> None:
-            values = st.session_state["runlist"].get(event)
-            if values is not None:
-                act(*values)
-
-        return told
-
-    renderer("runlist", _LIST)(
-        key="runlist",
-        data={"sections": sections},
-        on_toggled_change=on("toggled", lambda word: toggle(scope, word)),
-        on_alone_change=on("alone", lambda word: _alone(scope, word)),
-        on_chosen_change=on("chosen", lambda run_id: st.session_state.update(run=[run_id])),
-        on_everything_change=on("everything", lambda: _set(hide=(), show=scope.folded)),
-    )
+    parts.draw(
+        "runlist", _LIST, "runlist", {"sections": sections},
+        toggled=lambda words: toggle(scope, *words), alone=lambda words: _alone(scope, *words),
+        chosen=lambda run_ids: st.session_state.update(run=run_ids),
+        everything=lambda _: _set(hide=(), show=scope.folded),
+    )  # fmt: skip
 
 
 def _frame(runs: Sequence[RunReader]) -> None:
@@ -332,7 +322,7 @@ def _frame(runs: Sequence[RunReader]) -> None:
             st.toast(f"**{text.markdown(one['title'])}**  \n{text.markdown(one['body'])}")
     st.session_state[TOLD] = {one["id"] for one in ended}
     mode = "" if session.links().theme else session.mode()
-    renderer("frame", _FRAME)(key="page frame", data={"mode": mode, "ended": ended})
+    parts.draw("frame", _FRAME, "page frame", {"mode": mode, "ended": ended})
 
 
 def toggle(scope: Scope, word: str) -> None:

@@ -6,15 +6,11 @@ stops. Its script is three files: `rows.js` (codes and filters), `draw.js` (canv
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
-from pathlib import Path
 from typing import Any
 
-import streamlit as st
-from streamlit.components.v2 import component
-from streamlit.components.v2.types import ComponentRenderer
+from app import parts
 
-KEY, SELECTOR = "buffer map", ".buffer-map"
+SELECTOR = ".buffer-map"
 TOOLS = {
     "lasso": "draw round rows to choose them",
     "box": "draw a box to choose rows",
@@ -51,19 +47,6 @@ _HTML = f"""<div class="buffer-map">
       </div></div>"""
 
 
-@cache
-def _renderer() -> ComponentRenderer:
-    folder = Path(__file__).parent
-    files = ("rows.js", "draw.js", "map.js", "hands.js")
-    return component(
-        "tom_map",
-        html=_HTML,
-        css=(folder / "map.css").read_text(),
-        js="\n".join((folder / name).read_text() for name in files),
-        isolate_styles=False,
-    )
-
-
 def draw(
     given: Mapping[str, Any],
     step: int,
@@ -80,20 +63,12 @@ def draw(
     `chosen` is called with the words of a new selection, `picked` with the recorded number of a
     clicked row, `coloured` with what cells are coloured by: before the page is drawn again.
     """
-
-    def on(event: str, act: Callable[[Any], None]) -> None:
-        message = st.session_state[KEY].get(event)
-        if message is not None:
-            act(message)
-
     data = {
         "given": given, "step": step, "where": list(where), "outline": list(outline),
         "colour": colour,
     }  # fmt: skip
-    _renderer()(
-        key=KEY,
-        data=data,
-        on_chosen_change=lambda: on("chosen", lambda it: chosen(it["where"], it["outline"])),
-        on_row_change=lambda: on("row", lambda row: picked(int(row))),
-        on_colour_change=lambda: on("colour", coloured),
-    )
+    parts.draw(
+        "map", _HTML, "buffer map", data, scripts=("rows", "draw", "map", "hands"),
+        chosen=lambda it: chosen(it["where"], it["outline"]), row=lambda row: picked(int(row)),
+        colour=coloured,
+    )  # fmt: skip

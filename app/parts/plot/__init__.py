@@ -10,9 +10,8 @@ from typing import Any, NamedTuple, Self
 
 import plotly
 import plotly.graph_objects as go
-import streamlit as st
 
-from app.parts import renderer
+from app import parts
 
 LIBRARY = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
 LIBRARY_PATH = f"api/plotly-{plotly.__version__}.js"
@@ -92,11 +91,6 @@ def chart(
     that part of the page draw first.
     """
 
-    def on(event: str, act: Callable[[Any], None]) -> None:
-        told = st.session_state[key].get(event)
-        if told is not None:
-            act(told)
-
     def on_click(told: Mapping[str, Any]) -> None:
         if clicked is not None:
             clicked(Point(**told))
@@ -121,10 +115,4 @@ def chart(
         "caption": caption,
         "after": after,
     }
-    renderer("plot", _HTML)(
-        key=key,
-        data=data,
-        height=drawn.height,
-        on_clicked_change=lambda: on("clicked", on_click),
-        on_viewed_change=lambda: on("viewed", on_view),
-    )
+    parts.draw("plot", _HTML, key, data, drawn.height, clicked=on_click, viewed=on_view)

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 import streamlit as st
 
-from app.parts import address, renderer
+from app import parts
+from app.parts import address
 
 STEP = "step"
 _HTML = """<div class="timeline" role="group" aria-label="Timeline">
@@ -43,21 +44,17 @@ def draw(fits: Sequence[int], evaluations: Sequence[int], step: int) -> None:
     """The timeline at the bottom of the window; it stands at `step`."""
     stops = sorted({*fits, *evaluations})
 
-    def on_step() -> None:
-        moved = st.session_state["timeline"].get(STEP)
-        if moved is not None:
-            # At its end it goes on following a run that trains.
-            st.session_state[STEP] = None if moved == stops[-1] else int(moved)
+    def on_step(moved: float) -> None:
+        # At its end it goes on following a run that trains.
+        st.session_state[STEP] = None if moved == stops[-1] else int(moved)
 
     given = {"stops": stops, "fits": list(fits), "evaluations": list(evaluations)}
     with st.bottom:
-        renderer("timeline", _HTML)(
-            key="timeline", data={"given": given, STEP: step}, on_step_change=on_step
-        )
+        parts.draw("timeline", _HTML, "timeline", {"given": given, STEP: step}, step=on_step)
 
 
 def numbers(steps: Sequence[int], shown: Sequence[Number]) -> None:
     """Show numbers at the last of `steps` (ascending) that is not after the timeline's step."""
     labelled = [{"label": label, "values": of, "help": words} for label, of, words in shown]
     data = {"steps": list(steps), "numbers": labelled}
-    renderer("readout", '<dl class="readout"></dl>')(key="numbers", data=data)
+    parts.draw("readout", '<dl class="readout"></dl>', "numbers", data)
