@@ -94,22 +94,20 @@ def on_road(points: NDArray, road: RoadShape) -> NDArray[np.bool_]:
     return distance_to_road(points, road.centre_line) <= road.half_width
 
 
-def weight_grid(obs: NDArray, weight: NDArray, cells: int = CELLS) -> NDArray[np.float64]:
+def weight_grid(obs: NDArray, weight: NDArray) -> NDArray[np.float64]:
     """Mean weight of the transitions that start in each cell of the unit square.
 
-    (N, 2), (N,) -> (cells, cells), row 0 at the lowest y; NaN in an empty cell.
+    (N, 2), (N,) -> (CELLS, CELLS), row 0 at the lowest y; NaN in an empty cell.
     """
-    cell = np.clip((np.asarray(obs) * cells).astype(int), 0, cells - 1)
-    flat = cell[:, 1] * cells + cell[:, 0]
-    count = np.bincount(flat, minlength=cells * cells)
-    total = np.bincount(flat, weights=np.asarray(weight, np.float64), minlength=cells * cells)
-    mean = np.divide(total, count, out=np.full(cells * cells, np.nan), where=count > 0)
-    return mean.reshape(cells, cells)
+    y, x = np.clip((np.asarray(obs) * CELLS).astype(int), 0, CELLS - 1).T[::-1]
+    count, total = np.zeros((2, CELLS, CELLS))
+    np.add.at(count, (y, x), 1)
+    np.add.at(total, (y, x), np.asarray(weight, np.float64))
+    return np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
 
 
-def cell_centres(cells: int = CELLS) -> NDArray[np.float64]:
-    """The coordinates (cells,) of the cells' centres along one side."""
-    return (np.arange(cells) + 0.5) / cells
+CENTRES = (np.arange(CELLS) + 0.5) / CELLS
+"""the coordinates of the cells' centres along one side"""
 
 
 def outline(road: RoadShape) -> NDArray[np.float64]:
@@ -121,9 +119,9 @@ def outline(road: RoadShape) -> NDArray[np.float64]:
     return np.concatenate([edge[outside], edge[outside][:1]])
 
 
-def circle(x: float, y: float, radius: float, points: int = 48) -> NDArray[np.float64]:
-    """A closed circle (points + 1, 2)."""
-    turn = np.linspace(0, 2 * np.pi, points + 1)
+def circle(x: float, y: float, radius: float) -> NDArray[np.float64]:
+    """A closed circle (49, 2)."""
+    turn = np.linspace(0, 2 * np.pi, 49)
     return np.stack([x + radius * np.cos(turn), y + radius * np.sin(turn)], -1)
 
 

@@ -158,14 +158,13 @@ def run_curves(
     legend: bool,
     axes: Axes = PLAIN,
     looks: Mapping[Kind, Look] | None = None,
-    keep: str = "",
     called: Mapping[str, str] | None = None,
 ) -> go.Figure:
     """One line per run, coloured by learner; the runs of one learner differ in their dashes.
 
     With `looks`, colours and dashes are those of the runs' groups instead. `called` are the runs'
     names in the legend, by id, where learner and seed do not tell them apart. A zoom lasts while
-    the metric, the axes and `keep`, which names the runs, are the same.
+    the metric and the axes are the same.
     """
     figure, words = go.Figure(), list[str]()
     at = "%{x:,} steps" if axes.x == ENV_STEPS else f"{text.plotly(axes.x)} %{{x:.4g}}"
@@ -192,7 +191,7 @@ def run_curves(
                 showlegend=legend,
             )
         )
-    _draw_axes(figure, metric, height, axes, [curve.env for curve in curves], keep)
+    _draw_axes(figure, metric, height, axes, [curve.env for curve in curves])
     words += left_out([(c.step, c.value) for c in curves], log_x=axes.log_x, log_y=axes.log_y)
     return note(figure, words)
 
@@ -253,8 +252,19 @@ def _key(*words: str) -> str:
     return blake2b("\n".join(words).encode(), digest_size=8).hexdigest()
 
 
+def return_line(curve: Curve, **more: Any) -> tuple[go.Scatter, list[str]]:
+    """A run's returns, in a figure of its own or beside its weights; that they are thinned."""
+    step, value, cut = decimate(curve.step, curve.value, POINTS)
+    hover = f"{text.plotly(curve.run_id)}<br>step %{{x:,}}<br>return %{{y:,.5~g}}<extra></extra>"
+    marked = {"marker": {"size": 5, "symbol": learner_symbol(curve.learner)}}
+    mode = "lines+markers" if len(step) < 60 else "lines"
+    more = {"name": "return", "meta": curve.run_id, "mode": mode, "showlegend": False} | more
+    drawn = line(step, value, learner_colour(curve.learner), 2, hover, **marked, **more)
+    return drawn, [f"returns thinned to {POINTS} points a line"] if cut else []
+
+
 def _draw_axes(
-    figure: go.Figure, metric: str, height: int, axes: Axes, envs: Sequence[str], keep: str = ""
+    figure: go.Figure, metric: str, height: int, axes: Axes, envs: Sequence[str]
 ) -> None:
     x = steps_in_words(envs) if axes.x == ENV_STEPS else text.plotly(axes.x)
     lines: list[Any] = list(figure.data)
@@ -263,8 +273,7 @@ def _draw_axes(
         # With a single point Plotly would show a tiny range around it: start the axis at zero.
         x_axis |= {"rangemode": "tozero", "autorangeoptions": {"include": 0}}
     y_axis = {"type": "log" if axes.log_y else "linear"}
-    kept = f"{metric} {axes} {keep}"
-    styled(figure, x, height, keep=kept, x_axis=x_axis, y_axis=y_axis)
+    styled(figure, x, height, keep=f"{metric} {axes}", x_axis=x_axis, y_axis=y_axis)
     figure.update_layout(meta={"y": short_title(metric)})  # for a saved figure: pages have titles
 
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from app import text
 from app.data.buffer import WINDOW
 from app.data.replays import Replay
-from app.figures.base import decimate, line, note, panels, steps_in_words, styled, upright
-from app.theme import NEUTRAL, learner_colour, learner_label, learner_symbol
+from app.figures.base import line, note, panels, steps_in_words, styled, upright
+from app.figures.curves import return_line
+from app.theme import NEUTRAL, learner_colour, learner_label
 from tom.analysis.curves import Curve
 
-POINTS = 2000
 MOST = 12
 """maximum number of drawn dimensions; the figure says if some were left out"""
 HEAVY, LIGHT = "#c2571f", "#4f7fc9"
@@ -24,20 +24,10 @@ def return_curve(
     curve: Curve, step: int, returns: NDArray[np.float64], chosen: int, height: int
 ) -> go.Figure:
     """The mean return at every evaluation; at `step` also each episode (E,), one marked."""
-    colour = learner_colour(curve.learner)
-    steps, values, thinned = decimate(curve.step, curve.value, POINTS)
-    figure = go.Figure(
-        line(
-            steps,
-            values,
-            colour,
-            2,
-            "step %{x:,}<br>mean return %{y:,.5~g}<extra></extra>",
-            name="mean of the evaluation",
-            mode="lines+markers" if len(steps) < 60 else "lines",
-            marker={"size": 7, "symbol": learner_symbol(curve.learner)},
-        )
-    )
+    # A click on it means the evaluation, one on a mark the episode that its `meta` has.
+    more: dict[str, Any] = {"name": "mean of the evaluation", "meta": None, "showlegend": True}
+    means, thinned = return_line(curve, **more)
+    figure, colour = go.Figure(means), learner_colour(curve.learner)
     at_rest = {"size": 9, "symbol": "line-ew", "line": {"width": 2, "color": NEUTRAL}}
     others = np.arange(len(returns)) != chosen
     for name, which, marker in (
@@ -57,10 +47,10 @@ def return_curve(
                 hovertemplate="episode %{customdata}<br>return %{y:,.5~g}<extra></extra>",
             )
         )
-    lone = {"range": [0, 2 * step], "tickvals": [step]} if len(steps) < 2 else {}
+    lone = {"range": [0, 2 * step], "tickvals": [step]} if len(curve.step) < 2 else {}
     x, kept = steps_in_words([curve.env]), f"returns {curve.run_id}"
     styled(figure, x, height, keep=kept, y="return", x_axis=lone)
-    return note(figure, [f"thinned to {POINTS} points"] if thinned else [])
+    return note(figure, thinned)
 
 
 def reward_curve(replay: Replay, frame: int, height: int) -> go.Figure:

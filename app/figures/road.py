@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.data.road import Picture, cell_centres, circle, outline
+from app.data.road import CENTRES, Picture, circle, outline
 from app.figures.base import OCTAVES, line, octaves, relative_scale, styled
 from app.theme import NEUTRAL, TEXT, Mode, learner_colour, learner_label
 
@@ -31,11 +31,10 @@ def cells(picture: Picture) -> dict[str, list[list[float | None]]]:
 def road_map(picture: Picture, mode: Mode, height: int) -> go.Figure:
     """The map with all data of one fit; the legend shows and hides layers."""
     colour = learner_colour(picture.learner)
-    middle = cell_centres(len(picture.grid))
     figure = go.Figure(
         go.Heatmap(
-            x=middle,
-            y=middle,
+            x=CENTRES,
+            y=CENTRES,
             z=octaves(picture.grid),
             customdata=picture.grid,
             hovertemplate="(%{x:.2f}, %{y:.2f})<br>weight %{customdata:.3g}<extra></extra>",

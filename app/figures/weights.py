@@ -13,7 +13,6 @@ from app.figures.base import (
     Y_AXIS,
     across,
     band,
-    decimate,
     line,
     note,
     octaves,
@@ -23,8 +22,8 @@ from app.figures.base import (
     styled,
     upright,
 )
-from app.figures.curves import POINTS
-from app.theme import Mode, learner_colour, learner_label, learner_symbol
+from app.figures.curves import return_line
+from app.theme import Mode, learner_colour, learner_label
 from tom.analysis.curves import Curve
 from tom.record.decode import Profiles
 from tom.spread import spread
@@ -46,18 +45,13 @@ Part = tuple[str, Curve, Profiles]
 """a column: name, curve and weight profiles of a run"""
 
 
-def weight_map(
-    profiles: Profiles, mode: Mode, height: int, *, x: str = ENV_STEPS, keep: str = ""
-) -> go.Figure:
+def weight_map(profiles: Profiles, mode: Mode, height: int, *, x: str = ENV_STEPS) -> go.Figure:
     """Mean weight of each part of the buffer (newest on top) at each fit (x axis).
 
-    Colours show log2 of the weight, with uniform in the middle. A zoom lasts while `keep`, the
-    run's id, is the same, here and below.
+    Colours show log2 of the weight, with uniform in the middle.
     """
     heat, thinned = _heatmap(profiles, relative_scale(profiles.bins, mode))
-    figure = go.Figure(heat)
-    styled(figure, x, height, keep=f"weight-map {keep}", y_axis=AGES)
-    return note(figure, thinned)
+    return note(styled(go.Figure(heat), x, height, keep="weight-map", y_axis=AGES), thinned)
 
 
 def _heatmap(profiles: Profiles, scale: Mapping[str, Any]) -> tuple[go.Heatmap, list[str]]:
@@ -83,11 +77,8 @@ def _heatmap(profiles: Profiles, scale: Mapping[str, Any]) -> tuple[go.Heatmap, 
 
 def with_returns(figure: go.Figure, curve: Curve) -> go.Figure:
     """A map of weights with the run's returns below it on the same axis, and with their zoom."""
-    hover = "step %{x:,}<br>return %{y:,.5~g}<extra></extra>"
-    mode = "lines+markers" if len(curve.step) < 60 else "lines"
-    more = {"name": "return", "mode": mode, "marker": {"size": 5}, "showlegend": False}
-    colour = learner_colour(curve.learner)
-    figure.add_trace(line(curve.step, curve.value, colour, 1.8, hover, yaxis="y2", **more))
+    returns, thinned = return_line(curve, yaxis="y2")
+    note(figure.add_trace(returns), thinned)
     below = {**Y_AXIS, "domain": [0, 0.24], "title": {"text": "return"}, "anchor": "x"}
     figure.update_traces(selector={"type": "heatmap"}, colorbar={"len": 0.72, "y": 0.65})
     return figure.update_layout(
@@ -103,7 +94,8 @@ def weight_profile(
 ) -> go.Figure:
     """The weight of each part of the buffer at one fit, oldest to newest: bins (100,).
 
-    The axis is that of `on_log_axis`.
+    The axis is that of `on_log_axis`. A zoom lasts while `keep`, the run's id, is the same, here
+    and below.
     """
     figure = go.Figure(
         go.Bar(
@@ -184,15 +176,11 @@ def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
     scale = relative_scale(np.concatenate(every or [np.ones(1)]), mode)
     scale["colorbar"] |= {"len": 0.48, "y": 0, "yanchor": "bottom"}
     last = max((i for i, (*_, of) in enumerate(parts, 1) if len(of.env_step)), default=0)
-    words = [f"returns thinned to {POINTS} points a line"]
-    words = words if any(len(curve.step) > POINTS for _, curve, _ in parts) else []
+    words, some = list[str](), list[str]()
     for column, (title, (_, curve, profiles)) in enumerate(zip(titles, parts, strict=True), 1):
-        step, value, _ = decimate(curve.step, curve.value, POINTS)
-        hover = f"{text.plotly(curve.run_id)}<br>%{{x:,}} steps: %{{y:.4g}}<extra></extra>"
-        marker = {"size": 5, "symbol": learner_symbol(curve.learner)}
-        more = {"meta": curve.run_id, "mode": "lines+markers", "marker": marker}
-        colour = learner_colour(curve.learner)
-        figure.add_trace(line(step, value, colour, 2, hover, showlegend=False, **more), 1, column)
+        returns, thinned = return_line(curve)
+        figure.add_trace(returns, 1, column)
+        words = thinned or words
         count = len(profiles.env_step)
         if not count:
             # Without a trace Plotly makes no axes there, and draws the words on the first ones.
@@ -203,7 +191,7 @@ def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
             continue
         heat, thinned = _heatmap(profiles, scale | {"showscale": column == last})
         figure.add_trace(heat, 2, column)
-        words += [f"{title}: {fits}" for fits in thinned]
+        some += [f"{title}: {fits}" for fits in thinned]
     figure.update_layout(margin={"t": 34})
     figure.update_xaxes(matches="x")
     for row, first in ((1, "y"), (2, f"y{columns + 1}")):
@@ -213,4 +201,4 @@ def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
     figure.update_xaxes(ticks="", showticklabels=False, row=1)
     figure.update_yaxes(title_text="return", row=1, col=1)
     figure.update_yaxes(**AGES, ticks="", row=2)  # else Plotly draws ticks without labels at a map
-    return note(figure, words)
+    return note(figure, words + some)

@@ -11,7 +11,7 @@ from trimesh import PointCloud, creation
 
 from app.data import road
 from app.data.called import told_apart
-from app.data.road import CELLS, Picture, RoadShape, cell_centres, circle, on_road, outline
+from app.data.road import CELLS, CENTRES, Picture, RoadShape, circle, on_road, outline
 from app.figures.base import OCTAVES
 from app.figures.road import GOAL, START
 from app.scenes import solids
@@ -219,8 +219,8 @@ def columns(
     y, x = np.nonzero(np.nan_to_num(grid) >= 2**-OCTAVES)
     weight = grid[y, x]
     height = TALLEST * np.sqrt(np.minimum(weight, 2**OCTAVES) / 2**OCTAVES)
-    middle, side = cell_centres(), np.full(len(x), 0.86 / CELLS)
-    position = np.stack([middle[x], middle[y], height / 2], -1).astype(np.float32)
+    side = np.full(len(x), 0.86 / CELLS)
+    position = np.stack([CENTRES[x], CENTRES[y], height / 2], -1).astype(np.float32)
     scale = np.stack([side, side, height], -1).astype(np.float32)
     return position, scale, weight_colours(weight, mode)
 

@@ -10,6 +10,7 @@ from studio_runs import ROAD_TOM
 
 from app.data import road
 from app.data.road import (
+    CELLS,
     RoadShape,
     distance_to_road,
     on_road,
@@ -48,11 +49,11 @@ def test_the_outline_is_the_roads_edge(road_map: RoadShape) -> None:
 
 def test_cells_hold_the_mean_of_their_transitions() -> None:
     draw = np.random.default_rng(0)
-    obs, weight = draw.random((500, 2)), draw.random(500)
+    obs, weight = draw.random((5000, 2)), draw.random(5000)
     row, column = 2, 5
-    inside = ((obs * 7).astype(int) == [column, row]).all(1)
+    inside = ((obs * CELLS).astype(int) == [column, row]).all(1)
     assert inside.any()
-    mean = weight_grid(obs, weight, cells=7)
+    mean = weight_grid(obs, weight)
     assert mean[row, column] == pytest.approx(weight[inside].mean())
 
 

@@ -216,10 +216,8 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
     map_of = weight_map(profiles, "light", 300)
     errors = {"TOM": [(run_id, "tom", float(last), 1.0)]}
     drawn = [
-        weight_map(profiles, "light", 300, keep=run_id),
         with_returns(map_of, curve),
         weight_profile(bins[last], "tom", 300, keep=run_id),
-        run_curves([curve], "eval/return", 300, legend=False, keep=run_id),
         side_by_side([("a", curve, profiles)], "light", 400),
         probe_profiles({"tom": bins}, 0, 300, keep=run_id),
         errors_by_age([("a", "tom", bins[last])], 5, 300, keep=run_id),
