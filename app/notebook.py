@@ -2,9 +2,8 @@
 
 import plotly.graph_objects as go
 
-from app.figures.base import steps_in_words
 from app.figures.curves import run_curves
-from app.figures.weights import probe_profiles, weight_map, weight_profile
+from app.figures.weights import over_fits, probe_profiles, weight_profile
 from tom.analysis.curves import Curve, curve_points
 from tom.frames import Run, Weighing
 
@@ -29,13 +28,11 @@ def figures(shown: Run | Weighing, height: int) -> Figures:
         return Figures(profiles=probe_profiles(shown.by_learner(), share, height))
     reader, found = shown.reader, Figures()
     env, learner, profiles = reader.env, reader.learner, reader.profiles()
-    step, value = curve_points(shown.metrics.reset_index(), RETURN)
-    if len(step):
-        preset = str(reader.config.get("preset", "?"))
-        curve = Curve(shown.name, env, learner, preset, reader.seed, step, value)
+    points = curve_points(shown.metrics.reset_index(), RETURN)
+    curve = Curve(shown.name, env, learner, reader.preset, reader.seed, *points)
+    if len(curve.step):
         found["return"] = run_curves([curve], RETURN, height, legend=False)
     if len(profiles.env_step):
-        x = steps_in_words([env])
-        found["every fit"] = weight_map(profiles, "light", height, x=x)
+        found["every fit"] = over_fits([("", curve, profiles)], "light", height)
         found["the last fit"] = weight_profile(profiles.bins[-1], learner, height)
     return found

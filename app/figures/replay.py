@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from app import text
 from app.data.buffer import WINDOW
 from app.data.replays import Replay
-from app.figures.base import line, note, panels, steps_in_words, styled, upright
+from app.figures.base import line, note, panels, steps_in_words, styled
 from app.figures.curves import return_line
 from app.theme import NEUTRAL, learner_colour, learner_label
 from tom.analysis.curves import Curve
@@ -53,53 +53,41 @@ def return_curve(
     return note(figure, thinned)
 
 
-def reward_curve(replay: Replay, frame: int, height: int) -> go.Figure:
-    """The real and the predicted reward of each step, with the frame marked."""
-    lines = [("real", replay.episode.reward, NEUTRAL, 2.0)]
+def episode_curves(replay: Replay, frame: int, height: int) -> go.Figure:
+    """The reward of each step, real and predicted, and the distance of the prediction, if any."""
+    blank, words = [np.nan], ["reward a step"]
+    lines = [("real", NEUTRAL, np.append(replay.episode.reward, blank)[:, None])]
     if replay.imagined is not None:
         name = f"imagined by {text.plotly(learner_label(replay.learner))}'s model"
-        lines.append((name, replay.imagined.reward, learner_colour(replay.learner), 1.5))
-    return _steps(replay, "reward", lines, 0, frame, height, y="reward a step")
-
-
-def error_curve(replay: Replay, frame: int, height: int) -> go.Figure:
-    """The distance of the predicted state from the real one at each step; needs a ghost."""
-    lines = [("distance", replay.error, learner_colour(replay.learner), 1.5)]
-    more = {"y": "distance (std)", "showlegend": False}
-    figure = _steps(replay, "distance", lines, 1, frame, height, **more)
-    nothing = not np.isfinite(replay.error).any()
+        two = np.append(replay.imagined.reward, blank), np.append(blank, replay.error)
+        lines.append((name, learner_colour(replay.learner), np.stack(two, 1)))
+        words.append("distance (std)")
+    figure = _of_episode(replay, lines, words, frame, height, "rewards")
+    nothing = replay.imagined is not None and not np.isfinite(replay.error).any()
     return note(
         figure, ["no distance: one step, or states that change alike, have no scale"] * nothing
     )
 
 
-def _steps(
-    replay: Replay,
-    of: str,
-    lines: Sequence[tuple[str, NDArray, str, float]],
-    first: int,
-    frame: int,
-    height: int,
-    **more: Any,
-) -> go.Figure:
-    """Lines (name, values (H,), colour, width) against seconds, from step `first` on."""
-    figure = go.Figure()
-    for name, values, colour, width in lines:
-        seconds = replay.dt * np.arange(first, first + len(values))
-        hover = f"{name}<br>%{{x:.2f}} s<br>{of} %{{y:.3g}}<extra></extra>"
-        figure.add_trace(line(seconds, values, colour, width, hover, name=name))
-    marks, kept = [upright(frame * replay.dt, 1.5, "dot")], f"replay-{of} {replay.name}"
-    return styled(figure, "seconds", height, keep=kept, marks=marks, **more)
-
-
 def observed_curves(replay: Replay, frame: int, height: int) -> go.Figure:
     """Each dimension of an episode against seconds, `height` pixels each, with the model's."""
-    obs = np.asarray(replay.episode.obs)
-    lines = [("real", NEUTRAL, obs)]
+    lines = [("real", NEUTRAL, np.asarray(replay.episode.obs))]
     if replay.imagined is not None:
         lines.append(("imagined", learner_colour(replay.learner), replay.imagined.obs))
-    seconds, kept = replay.dt * np.arange(len(obs)), f"observations {replay.name}"
-    figure = _dimensions(seconds, "seconds", lines, replay.names, height, kept)
+    return _of_episode(replay, lines, replay.names, frame, height, "observations")
+
+
+def _of_episode(
+    replay: Replay,
+    lines: Sequence[tuple[str, str, NDArray]],
+    names: Sequence[str],
+    frame: int,
+    height: int,
+    of: str,
+) -> go.Figure:
+    """Lines (name, colour, (H + 1, D)) against seconds, with the frame marked."""
+    seconds = replay.dt * np.arange(len(replay.episode.obs))
+    figure = _dimensions(seconds, "seconds", lines, names, height, f"{of} {replay.name}")
     mark = {"color": NEUTRAL, "width": 1.5, "dash": "dot"}
     return figure.add_vline(x=frame * replay.dt, line=mark)
 
@@ -126,16 +114,19 @@ def _dimensions(
     keep: str,
 ) -> go.Figure:
     """A row of `height` pixels for each dimension of the lines: (name, colour, (T, O))."""
-    dims = lines[0][2].shape[-1]
+    dims = lines[-1][2].shape[-1]
     shown = min(dims, MOST)
     spacing = min(0.05, 0.5 / max(shown - 1, 1))
     apart = {"shared_xaxes": True, "vertical_spacing": spacing}
     figure = panels(shown, 1, height * shown, keep, **apart)
     for i in range(shown):
+        named: set[str] = set()
         for name, colour, values in lines:
             hover = f"{name}<br>%{{y:.3g}}<extra></extra>"
-            trace = line(x, values[:, i], colour, 1.4, hover, name=name, showlegend=False)
-            figure.add_trace(trace, i + 1, 1)
+            more = {"name": name, "legendgroup": name, "showlegend": not i and name not in named}
+            if i < values.shape[1]:
+                figure.add_trace(line(x, values[:, i], colour, 1.4, hover, **more), i + 1, 1)
+            named.add(name)
         words = names[i] if i < len(names) else f"observation {i + 1}"
         figure.update_yaxes(title_text=text.plotly(words[:24]), row=i + 1, col=1)
     words = title if dims <= MOST else f"{title}; the first {MOST} of {dims} dimensions"

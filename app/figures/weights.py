@@ -1,4 +1,4 @@
-"""Weights by age of rows: the step x bin map, a profile, the effective sample, runs in columns."""
+"""Weights by age of rows: those of every fit with the returns, in columns, and profiles."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from app import text
 from app.figures.base import (
-    ENV_STEPS,
-    Y_AXIS,
+    LAYOUT,
     across,
     band,
     line,
@@ -45,15 +44,6 @@ Part = tuple[str, Curve, Profiles]
 """a column: name, curve and weight profiles of a run"""
 
 
-def weight_map(profiles: Profiles, mode: Mode, height: int, *, x: str = ENV_STEPS) -> go.Figure:
-    """Mean weight of each part of the buffer (newest on top) at each fit (x axis).
-
-    Colours show log2 of the weight, with uniform in the middle.
-    """
-    heat, thinned = _heatmap(profiles, relative_scale(profiles.bins, mode))
-    return note(styled(go.Figure(heat), x, height, keep="weight-map", y_axis=AGES), thinned)
-
-
 def _heatmap(profiles: Profiles, scale: Mapping[str, Any]) -> tuple[go.Heatmap, list[str]]:
     """The weights at every fit, or at some; and that these are some, in words."""
     count = len(profiles.env_step)
@@ -73,20 +63,6 @@ def _heatmap(profiles: Profiles, scale: Mapping[str, Any]) -> tuple[go.Heatmap, 
         **scale,
     )
     return heat, [f"{len(fits)} of {count} fits"] if len(fits) < count else []
-
-
-def with_returns(figure: go.Figure, curve: Curve) -> go.Figure:
-    """A map of weights with the run's returns below it on the same axis, and with their zoom."""
-    returns, thinned = return_line(curve, yaxis="y2")
-    note(figure.add_trace(returns), thinned)
-    below = {**Y_AXIS, "domain": [0, 0.24], "title": {"text": "return"}, "anchor": "x"}
-    figure.update_traces(selector={"type": "heatmap"}, colorbar={"len": 0.72, "y": 0.65})
-    return figure.update_layout(
-        xaxis={"anchor": "y2"},
-        yaxis={"domain": [0.3, 1]},
-        yaxis2=below,
-        uirevision=f"weight-map and returns {curve.run_id}",
-    )
 
 
 def weight_profile(
@@ -161,44 +137,42 @@ def bin_centres(bins: int) -> NDArray[np.float64]:
     return (np.arange(bins) + 0.5) * 100 / bins
 
 
-def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
-    """The return above and the weights of every fit below, for each (name, curve, profiles).
+def over_fits(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
+    """The weights of every fit above and the return below, for each (name, curve, profiles).
 
-    The axes of all columns are linked. Long curves and many fits are thinned, and the figure says
-    so.
+    Weights are the mean of each part of the buffer, newest on top; colours show log2 of them, with
+    uniform in the middle. The axes of all columns are linked. Long curves and many fits are
+    thinned, and the figure says so.
     """
-    columns, envs = len(parts), [curve.env for _, curve, _ in parts]
-    kept = " ".join(["side by side", *(curve.run_id for _, curve, _ in parts)])
-    titles = [text.plotly(name) for name, *_ in parts]
-    apart = {"horizontal_spacing": 0.02, "vertical_spacing": 0.06}
-    figure = panels(2, columns, height, kept, column_titles=titles, **apart)
+    envs, titles = [curve.env for _, curve, _ in parts], [text.plotly(name) for name, *_ in parts]
+    kept = " ".join(["over fits", *(curve.run_id for _, curve, _ in parts)])
+    apart = {"horizontal_spacing": 0.02, "vertical_spacing": 0.06, "row_heights": [0.7, 0.3]}
+    figure = panels(2, len(parts), height, kept, column_titles=titles, **apart)
     every = [profiles.bins.ravel() for *_, profiles in parts if len(profiles.bins)]
     scale = relative_scale(np.concatenate(every or [np.ones(1)]), mode)
-    scale["colorbar"] |= {"len": 0.48, "y": 0, "yanchor": "bottom"}
+    scale["colorbar"] |= {"len": 0.68, "y": 1, "yanchor": "top"}
     last = max((i for i, (*_, of) in enumerate(parts, 1) if len(of.env_step)), default=0)
     words, some = list[str](), list[str]()
     for column, (title, (_, curve, profiles)) in enumerate(zip(titles, parts, strict=True), 1):
-        returns, thinned = return_line(curve)
-        figure.add_trace(returns, 1, column)
-        words = thinned or words
-        count = len(profiles.env_step)
-        if not count:
+        if len(profiles.env_step):
+            heat, thinned = _heatmap(profiles, scale | {"showscale": column == last})
+            figure.add_trace(heat, 1, column)
+            some += [f"{title}: {fits}".removeprefix(": ") for fits in thinned]
+        else:
             # Without a trace Plotly makes no axes there, and draws the words on the first ones.
-            figure.add_trace(go.Scatter(x=[None], y=[None], showlegend=False), 2, column)
+            figure.add_trace(go.Scatter(x=[None], y=[None], showlegend=False), 1, column)
             middle = {"x": 0.5, "y": 0.5, "showarrow": False, "opacity": 0.75}
-            place = {f"{of}ref": f"{of}{columns + column} domain" for of in "xy"}
+            place = {f"{of}ref": f"{of}{'' if column == 1 else column} domain" for of in "xy"}
             figure.add_annotation(text="no weights recorded", **place, **middle)
-            continue
-        heat, thinned = _heatmap(profiles, scale | {"showscale": column == last})
-        figure.add_trace(heat, 2, column)
-        some += [f"{title}: {fits}" for fits in thinned]
-    figure.update_layout(margin={"t": 34})
-    figure.update_xaxes(matches="x")
-    for row, first in ((1, "y"), (2, f"y{columns + 1}")):
+        returns, thinned = return_line(curve)
+        figure.add_trace(returns, 2, column)
+        words = thinned or words
+    figure.update_layout(margin={"t": 34 if any(titles) else LAYOUT["margin"]["t"]})
+    figure.update_xaxes(matches="x").update_xaxes(title_text=steps_in_words(envs), row=2)
+    figure.update_xaxes(ticks="", showticklabels=False, row=1)
+    for row, first in ((1, "y"), (2, f"y{len(parts) + 1}")):
         figure.update_yaxes(matches=first, showticklabels=False, row=row)
         figure.update_yaxes(showticklabels=True, row=row, col=1)
-    figure.update_xaxes(title_text=steps_in_words(envs), row=2)
-    figure.update_xaxes(ticks="", showticklabels=False, row=1)
-    figure.update_yaxes(title_text="return", row=1, col=1)
-    figure.update_yaxes(**AGES, ticks="", row=2)  # else Plotly draws ticks without labels at a map
+    figure.update_yaxes(**AGES, ticks="", row=1)  # else Plotly draws ticks without labels at a map
+    figure.update_yaxes(title_text="return", row=2, col=1)
     return note(figure, words + some)

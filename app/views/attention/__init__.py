@@ -14,9 +14,8 @@ from app.data.called import names, told_apart
 from app.data.exams import at_fit
 from app.data.road import Picture
 from app.data.weighings import Dataset
-from app.figures.base import steps_in_words
 from app.figures.road import cells, road_map
-from app.figures.weights import FLOOR, weight_map, weight_profile, with_returns
+from app.figures.weights import FLOOR, over_fits, weight_profile
 from app.parts import address, timeline, widgets
 from app.parts.map import SELECTOR
 from app.parts.plot import Drawn, Follow, Point, chart
@@ -259,8 +258,8 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
         mode, loop = session.mode(), readers.loop(run)
 
         def drawn() -> Drawn:
-            figure = weight_map(profiles, mode, HEIGHT, x=steps_in_words([run.env]))
-            return Drawn.of(with_returns(figure, widgets.curve(loop, "eval/return")))
+            returns = widgets.curve(loop, "eval/return")
+            return Drawn.of(over_fits([("", returns, profiles)], mode, HEIGHT))
 
         version = run.version("profiles"), loop.version("metrics")
         figure = _MAPS.get((run.path, mode), drawn, version)

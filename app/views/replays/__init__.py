@@ -10,7 +10,7 @@ from app.data import readers
 from app.data.cache import VersionedCache
 from app.data.called import names, told_apart
 from app.data.replays import DEFAULT_HORIZON
-from app.figures.weights import side_by_side
+from app.figures.weights import over_fits
 from app.parts import address, timeline, widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
@@ -67,11 +67,11 @@ def _side(scope: Scope) -> None:
     ]
     with st.container(border=True):
         st.markdown(
-            "**Return** and **weights**: zoom one and all follow; weights by position in the "
+            "**Weights** and **return**: zoom one and all follow; weights by position in the "
             "buffer, oldest at the bottom"
         )
-        figure = side_by_side(parts, session.mode(), 620)
-        chart(figure, "side by side", "return and weights of the runs, on linked axes")
+        figure = over_fits(parts, session.mode(), 620)
+        chart(figure, "side by side", "weights and return of the runs, on linked axes")
     evaluated = {run.run_id: run.evaluation_steps() for run in chosen}
     steps = sorted({step for of_run in evaluated.values() for step in of_run})
     if not steps:

@@ -10,7 +10,7 @@ from app import session, text
 from app.data import readers, replays
 from app.data.called import names
 from app.data.replays import DEFAULT_HORIZON, HORIZONS, Replay
-from app.figures.replay import error_curve, observed_curves, return_curve, reward_curve
+from app.figures.replay import episode_curves, observed_curves, return_curve
 from app.parts import address, timeline, widgets
 from app.parts.plot import Point, chart
 from app.parts.scope import Scope
@@ -164,18 +164,13 @@ def _curves(run: RunReader, replay: Replay, returns: np.ndarray, index: int, fra
         go_to(min(round(point.x / replay.dt), replay.episode.length))
 
     with st.container(border=True):
-        st.markdown("**Reward of each step**: click to go there")
-        chart(reward_curve(replay, frame, 180), "replay reward", "reward of each step", mark)
-        if replay.imagined is not None:
-            st.markdown(
-                "**Distance of the ghost from the robot**",
-                help="root mean square over the observation's dimensions, each in standard "
-                "deviations of its change in one step",
-            )
-            chart(
-                error_curve(replay, frame, 150), "replay error",
-                "distance of the imagined state from the real one", mark,
-            )  # fmt: skip
+        far = " and **distance of the ghost from the robot**" * (replay.imagined is not None)
+        st.markdown(
+            f"**Reward of each step**{far}: click to go there",
+            help="distance: root mean square over the observation's dimensions, each in standard "
+            "deviations of its change in one step",
+        )
+        chart(episode_curves(replay, frame, 170), "replay reward", "the episode's steps", mark)
 
 
 def _choose_episode(point: Point) -> None:

@@ -23,11 +23,9 @@ from app.figures.road import road_map
 from app.figures.statistics import improvement
 from app.figures.weights import (
     MAP_COLUMNS,
+    over_fits,
     probe_profiles,
-    side_by_side,
-    weight_map,
     weight_profile,
-    with_returns,
 )
 from app.theme import learner_colour, learner_symbol
 from tom.analysis.curves import GRID, Curve, aggregate
@@ -89,7 +87,7 @@ def test_long_curves_and_many_fits_are_thinned_and_say_so(profiles: Profiles) ->
             (run_curves(curves, "x", 300, legend=False), POINTS, [str(POINTS)]),
             (group_curves([aggregate(curves)], "x", 300, singles=True), 2 * GRID,
              [str(GRID), str(POINTS)]),
-            (side_by_side([("a", curves[0], fits)], "light", 400), POINTS,
+            (over_fits([("a", curves[0], fits)], "light", 400), POINTS,
              [str(POINTS), f"{MAP_COLUMNS} of 1000"]),
         ):  # fmt: skip
             assert max(len(line.x) for line in traces(figure)) <= limit
@@ -160,7 +158,7 @@ def test_where_runs_are_missing_the_mean_is_dotted() -> None:
 
 def test_a_run_with_one_fit_has_a_column_that_can_be_seen_and_clicked(profiles: Profiles) -> None:
     one = Profiles(*(getattr(profiles, field.name)[:1] for field in fields(Profiles)))
-    heat = traces(weight_map(one, "light", 300))[0]
+    heat = traces(over_fits([("", long_curve(9), one)], "light", 300))[0]
     step, (left, right) = int(one.env_step[0]), heat.x
     assert (left + right) / 2 == step
     assert right - left >= max(0.04 * step, 1)
@@ -201,11 +199,11 @@ def test_the_road_map_shows_the_picture(store: Path) -> None:
 def test_a_run_without_weights_says_so_beside_the_others(profiles: Profiles) -> None:
     none = Profiles(*(part[:0] for part in vars(profiles).values()))
     curve = long_curve(50)
-    figure = side_by_side([("TOM", curve, profiles), ("SAC", curve, none)], "light", 400)
+    figure = over_fits([("TOM", curve, profiles), ("SAC", curve, none)], "light", 400)
     layout = figure.to_dict()["layout"]
     (missing,) = [note for note in layout["annotations"] if note["text"] == "no weights recorded"]
-    assert (missing["xref"], missing["yref"]) == ("x4 domain", "y4 domain")
-    assert ("x4", "y4") in [(trace.xaxis, trace.yaxis) for trace in traces(figure)]  # they exist
+    assert (missing["xref"], missing["yref"]) == ("x2 domain", "y2 domain")
+    assert ("x2", "y2") in [(trace.xaxis, trace.yaxis) for trace in traces(figure)]  # they exist
     assert len([trace for trace in traces(figure) if trace.type == "heatmap"]) == 1
 
 
@@ -213,12 +211,10 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
     """What each figure of a run's data keeps its zoom for."""
     bins, last = profiles.bins, len(profiles.env_step) - 1
     curve = replace(long_curve(len(bins)), run_id=run_id)
-    map_of = weight_map(profiles, "light", 300)
     errors = {"TOM": [(run_id, "tom", float(last), 1.0)]}
     drawn = [
-        with_returns(map_of, curve),
         weight_profile(bins[last], "tom", 300, keep=run_id),
-        side_by_side([("a", curve, profiles)], "light", 400),
+        over_fits([("a", curve, profiles)], "light", 400),
         probe_profiles({"tom": bins}, 0, 300, keep=run_id),
         errors_by_age([("a", "tom", bins[last])], 5, 300, keep=run_id),
         focus(errors, 300, "model/error_policy"),

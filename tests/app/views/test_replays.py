@@ -14,7 +14,7 @@ from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
 
 from app.data import replays
 from app.data.replays import ROAD_DT, Replay
-from app.figures.replay import error_curve
+from app.figures.replay import episode_curves
 from app.scenes import solids
 from app.servers import viewers
 from tom.analysis.imagine import stored_model
@@ -56,8 +56,9 @@ def test_a_dimension_that_stands_still_has_no_part_in_the_distance(run: RunReade
     assert more.error == pytest.approx(whole.error)
     only = with_states(whole, still, off, alone=True)
     assert np.isnan(only.error).all()
-    assert "no distance" in error_curve(only, 0, 200).to_dict()["layout"]["annotations"][0]["text"]
-    assert "annotations" not in error_curve(whole, 0, 200).to_dict()["layout"]
+    said = episode_curves(only, 0, 200).to_dict()["layout"]["annotations"]
+    assert "no distance" in said[0]["text"]
+    assert "annotations" not in episode_curves(whole, 0, 200).to_dict()["layout"]
 
 
 def with_states(
@@ -129,7 +130,7 @@ def test_the_page_shows_the_chosen_episode(store: Path, run: RunReader) -> None:
     values = metrics(app)
     assert values["return"] == f"{episodes[1].undiscounted_return:,.1f}"
     assert values["length"] == f"{episodes[1].length:,} steps"
-    returns, reward, error = figures(app)
+    returns, rewards = figures(app)
     chosen = trace(returns, name="the one shown")
     assert array(chosen["x"]).tolist() == [400]
     assert array(chosen["y"]) == pytest.approx([episodes[1].undiscounted_return])
@@ -140,9 +141,9 @@ def test_the_page_shows_the_chosen_episode(store: Path, run: RunReader) -> None:
     assert array(curve["y"]) == pytest.approx(means)
     replay = replays.load(run, 400, 1, 25)
     assert replay is not None
-    assert array(trace(reward, name="real")["y"]) == pytest.approx(episodes[1].reward)
-    assert reward["layout"]["shapes"][0]["x0"] == pytest.approx(3 * replay.dt)
-    assert array(error["data"][0]["y"]) == pytest.approx(replay.error)
+    assert array(trace(rewards, name="real")["y"])[:-1] == pytest.approx(episodes[1].reward)
+    assert rewards["layout"]["shapes"][0]["x0"] == pytest.approx(3 * replay.dt)
+    assert array(rewards["data"][-1]["y"])[1:] == pytest.approx(replay.error)
 
 
 @pytest.fixture
