@@ -19,7 +19,7 @@ from tom.errors import UserError
 from tom.record import checkpoint
 from tom.record.reader import Recorded, RunReader
 from tom.record.store import Store
-from tom.record.task_record import scene_of, task_of
+from tom.record.task_record import dimension_names, scene_of, task_of
 from tom.spread import spread
 
 if TYPE_CHECKING:  # torch takes seconds to import, and the first page does without it
@@ -185,6 +185,11 @@ def described(run: RunReader) -> tuple[str, ...]:
     """The recorded names of the run's observation dimensions; empty if there are none."""
     known = None if run.env == ROAD else described_task(run)
     return () if known is None else known.obs_names
+
+
+def named(run: RunReader) -> tuple[Sequence[str], Sequence[str]]:
+    """The names of the dimensions of a run's observations and actions."""
+    return dimension_names(run.env, recorded(run).rows, described(run))
 
 
 def drawn(run: RunReader) -> bool:

@@ -1,7 +1,8 @@
 """The map of a buffer: its planes, the weights on it, and which rows a selection chooses."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -24,7 +25,6 @@ from tom.errors import UserError
 from tom.machine.memory import STUDIO_CACHE_BYTES
 from tom.policy.stored import distances as policy_distances
 from tom.record.reader import RunReader
-from tom.record.task_record import dimension_names
 from tom.reports.weighing_files import called
 from tom.spread import spread
 
@@ -77,7 +77,7 @@ def _fit(run: RunReader, step: int, length: int) -> Source | None:
 def others(run: RunReader) -> dict[str, Source]:
     """What `tom weigh` and brushes made of a run's buffer, by label: the newest."""
     length = buffer.length(run)
-    made, brushes = weighings.of_run(run, length), weighings.brushes(run, length)
+    made, brushes = (weighings.of_run(run, length, brush=brush) for brush in (False, True))
     return {
         label: Source(
             label, weight, weighing.end, weighing.written, learner, weighing, f"{learner}-s{seed}"
@@ -117,11 +117,6 @@ def knows_policy(run: RunReader, source: Source) -> bool:
     return run.env != ROAD and run.has_policy(int(source.label))
 
 
-def named(run: RunReader) -> planes.Names:
-    """The names of the dimensions of a run's observations and actions."""
-    return dimension_names(run.env, buffer.recorded(run).rows, buffer.described(run))
-
-
 @dataclass(frozen=True)
 class Placed:
     """A plane and the place of every recorded row on it."""
@@ -137,8 +132,8 @@ class Placed:
     def of(cls, key: str, names: tuple[str, str], xy: NDArray[np.float32]) -> Self:
         ends = zip(xy.min(0).tolist(), xy.max(0).tolist(), strict=True)
         x, y = (Column(f"{key} {i}", low, high) for i, (low, high) in enumerate(ends))
-        codes = (columns.encode(xy[:, i], axis.low, axis.high) for i, axis in enumerate((x, y)))
-        return cls(names, xy, (x, y), (next(codes), next(codes)))
+        codes = columns.encode(xy[:, 0], x), columns.encode(xy[:, 1], y)
+        return cls(names, xy, (x, y), codes)
 
 
 def placed(run: RunReader, key: str) -> Placed | None:
@@ -179,8 +174,8 @@ def _plane(run: RunReader, kind: str, source: Source) -> planes.Plane:
     """The contrast plane, or the principal components, of the rows of these weights."""
     part = buffer.recorded(run).rows[source.first : source.end]
     if kind == CONTRAST:
-        return planes.contrast_of(part, source.weight, named(run))
-    return planes.principal_of(part, named(run))
+        return planes.contrast_of(part, source.weight, buffer.named(run))
+    return planes.principal_of(part, buffer.named(run))
 
 
 def layers(run: RunReader) -> dict[str, str]:
@@ -243,7 +238,7 @@ def coded(run: RunReader, source: Source, name: str) -> tuple[columns.Codes, Col
         return columns.rank_codes(columns.weight_codes(source.weight)), RANK
     if name == DISTANCE.name:
         far = distances(run, source)
-        return None if far is None else (_coded(far, DISTANCE), DISTANCE)
+        return None if far is None else (columns.encode(far, DISTANCE), DISTANCE)
     for column in columns.recorded(run):
         if column.name == name:
             return columns.codes(run, name)[source.first : source.end], column
@@ -262,7 +257,7 @@ def chosen(run: RunReader, source: Source, selection: Selection) -> Mask:
     place = placed(run, selection.outline.plane) if selection.outline else None
     if selection.outline and place:
         x, y = (
-            columns.decode(codes[source.first : source.end], axis.low, axis.high)
+            columns.decode(codes[source.first : source.end], axis)
             for codes, axis in zip(place.codes, place.axes, strict=True)
         )
         mask &= inside(selection.outline.corners, x, y)
@@ -297,19 +292,23 @@ def given_plane(run: RunReader, key: str) -> dict | None:
     place = placed(run, key)
     if place is None:
         return None
+
+    def codes(i: int) -> columns.Codes:
+        found = placed(run, key)
+        assert found is not None
+        return found.codes[i]
+
+    axes = [
+        _given(run, axis, place.names[i], partial(codes, i)) for i, axis in enumerate(place.axes)
+    ]
+    return {"key": key, "axes": axes}
+
+
+def _given(run: RunReader, column: Column, name: str, make: Callable[[], columns.Codes]) -> dict:
+    """A quantity of the record with the address of its codes."""
     version = run.version("buffer"), run.version("model")
-
-    def axis(i: int) -> dict:
-        def make() -> columns.Codes:
-            found = placed(run, key)
-            assert found is not None
-            return found.codes[i]
-
-        column = place.axes[i]
-        url = offer((run.path, version, key, i, column.low, column.high), make)
-        return {"name": place.names[i], "low": column.low, "high": column.high, "url": url}
-
-    return {"key": key, "axes": [axis(0), axis(1)]}
+    url = offer((run.path, version, column), make)
+    return {"name": name, "low": column.low, "high": column.high, "url": url}
 
 
 def given_source(run: RunReader, source: Source) -> dict:
@@ -325,7 +324,7 @@ def given_source(run: RunReader, source: Source) -> dict:
     def far() -> columns.Codes:
         found = distances(run, again())
         unknown = np.full(len(again().weight), np.nan)
-        return _coded(unknown if found is None else found, DISTANCE)
+        return columns.encode(unknown if found is None else found, DISTANCE)
 
     key = run.path, label, source.version
     return {
@@ -336,24 +335,14 @@ def given_source(run: RunReader, source: Source) -> dict:
     }  # fmt: skip
 
 
-def _coded(values: NDArray, column: Column) -> columns.Codes:
-    return columns.encode(values, column.low, column.high)
-
-
 def given_columns(run: RunReader, sources: Sequence[Source]) -> list[dict]:
     """What the browser needs to know of the quantities of the record, and of those of sources."""
-    version = run.version("buffer"), run.version("model")
-    count = buffer.length(run)
-    sampled = f" (of {ERROR_ROWS:,} rows)" if count > ERROR_ROWS else ""
+    sampled = f" (of {ERROR_ROWS:,} rows)" if buffer.length(run) > ERROR_ROWS else ""
     found = [
-        {
-            "name": one.name, "low": one.low, "high": one.high,
-            "note": sampled if one.name == ERROR else "",
-            "url": offer((run.path, version, one.name, one.low, one.high),
-                         lambda name=one.name: columns.codes(run, name)),
-        }
+        _given(run, one, one.name, partial(columns.codes, run, one.name))
+        | {"note": sampled if one.name == ERROR else ""}
         for one in columns.recorded(run)
-    ]  # fmt: skip
+    ]
     if any(knows_policy(run, one) for one in sources):
         of_source = {"name": DISTANCE.name, "low": DISTANCE.low, "high": DISTANCE.high}
         place = sum(one["name"] in columns.OF_ROWS for one in found)

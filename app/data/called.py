@@ -18,11 +18,7 @@ def told_apart(runs: Sequence[RunReader], *, by_user: bool = False) -> dict[str,
     differs from the others and from its preset, then the id.
     """
     several = len({run.env for run in runs}) > 1
-    called = [
-        f"{task(run.env)} " * several + f"{learner} s{run.seed}"
-        for run, learner in zip(runs, _learners(runs), strict=True)
-    ]
-    return _apart(runs, called, by_user=by_user)
+    return _apart(runs, "{env} {learner} s{seed}" if several else "{learner} s{seed}", by_user)
 
 
 def names(runs: Sequence[RunReader]) -> dict[str, str]:
@@ -30,11 +26,7 @@ def names(runs: Sequence[RunReader]) -> dict[str, str]:
 
     Runs of the same name are distinguished as in `told_apart`.
     """
-    called = [
-        f"{task(run.env)} · {learner} · seed {run.seed}"
-        for run, learner in zip(runs, _learners(runs), strict=True)
-    ]
-    return _apart(runs, called, by_user=True)
+    return _apart(runs, "{env} · {learner} · seed {seed}", by_user=True)
 
 
 def task(env: str) -> str:
@@ -44,17 +36,13 @@ def task(env: str) -> str:
     return "HalfCheetah" if env == "halfcheetah" else env.replace("-", " ").capitalize()
 
 
-def _learners(runs: Sequence[RunReader]) -> list[str]:
-    return [
-        f"{learner_label(run.learner)} {preset}".strip()
-        for run, preset in zip(runs, telling_presets(runs), strict=True)
-    ]
-
-
-def _apart(runs: Sequence[RunReader], called: list[str], *, by_user: bool) -> dict[str, str]:
+def _apart(runs: Sequence[RunReader], form: str, by_user: bool) -> dict[str, str]:
     """Each run's name by its id; where several share one, with their settings, else their ids."""
-    if by_user:
-        called = [run.labels.name or name for run, name in zip(runs, called, strict=True)]
+    called = []
+    for run, preset in zip(runs, telling_presets(runs), strict=True):
+        learner = f"{learner_label(run.learner)} {preset}".strip()
+        usual = form.format(env=task(run.env), learner=learner, seed=run.seed)
+        called.append((by_user and run.labels.name) or usual)
     shared = Counter(called)
     variant = variants([run for run, name in zip(runs, called, strict=True) if shared[name] > 1])
     longer = [

@@ -14,7 +14,6 @@ from app.data.buffer import Floats
 from app.data.cache import cached
 from tom.envs import ROAD
 from tom.record.reader import RunReader
-from tom.record.task_record import dimension_names
 from tom.spread import spread
 
 Codes = NDArray[np.uint16]
@@ -37,17 +36,18 @@ class Column:
     high: float
 
 
-def encode(values: NDArray, low: float, high: float) -> Codes:
+def encode(values: NDArray, column: Column) -> Codes:
     """Values (N,) as codes; NaN is UNKNOWN."""
     known = np.isfinite(values)
-    share = (np.asarray(values, np.float64) - low) / (high - low or 1.0)
+    span = column.high - column.low or 1.0
+    share = (np.asarray(values, np.float64) - column.low) / span
     codes = np.rint(np.clip(np.where(known, share, 0.0), 0, 1) * TOP).astype(np.uint16)
     return np.where(known, codes, np.uint16(UNKNOWN)).astype(np.uint16)
 
 
-def decode(codes: NDArray, low: float, high: float) -> Floats:
+def decode(codes: NDArray, column: Column) -> Floats:
     """The values that codes stand for; UNKNOWN has none."""
-    return low + codes.astype(np.float64) / TOP * (high - low)
+    return column.low + codes.astype(np.float64) / TOP * (column.high - column.low)
 
 
 def weight_codes(weight: NDArray) -> Codes:
@@ -122,7 +122,7 @@ def values(run: RunReader, name: str) -> NDArray:
         return buffer.recorded(run).version
     if name == ERROR:
         return buffer.model_errors_of(run, spread(len(rows), ERROR_ROWS))
-    names, actions = dimension_names(run.env, rows, buffer.described(run))
+    names, actions = buffer.named(run)
     if name in names:
         return np.asarray(rows.obs)[:, names.index(name)]
     return np.asarray(rows.action)[:, actions.index(name)]
@@ -132,7 +132,7 @@ def values(run: RunReader, name: str) -> NDArray:
 def recorded(run: RunReader) -> tuple[Column, ...]:
     """The quantities of the record, those of the task's dimensions last."""
     rows = buffer.recorded(run).rows.numpy()
-    names, actions = dimension_names(run.env, rows, buffer.described(run))
+    names, actions = buffer.named(run)
     known = [REWARD, RETURN]
     # Without recorded policies each row has a version of its own.
     known += [VERSION] if len(np.unique(buffer.recorded(run).version)) < max(len(rows), 2) else []
@@ -153,4 +153,4 @@ def recorded(run: RunReader) -> tuple[Column, ...]:
 def codes(run: RunReader, name: str) -> Codes:
     """The codes (N,) of a quantity of the record."""
     column = next(one for one in recorded(run) if one.name == name)
-    return encode(values(run, name), column.low, column.high)
+    return encode(values(run, name), column)

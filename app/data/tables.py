@@ -1,8 +1,7 @@
 """The tables of the comparison, to read and to download. Pure functions."""
 
 import math
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pandas as pd
@@ -110,12 +109,7 @@ def reached(
     return pd.DataFrame(rows).replace(np.inf, np.nan)
 
 
-def settings(runs: Sequence[RunReader], names: Sequence[str]) -> pd.DataFrame:
-    """One row per setting in which the runs differ, one column per run."""
-    seen: Counter[str] = Counter()
-    columns = []
-    for name in names:
-        seen[name] += 1
-        columns.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
-    frame = pd.DataFrame(differences(runs), index=pd.Index(columns)).T
+def settings(runs: Sequence[RunReader], names: Iterable[str]) -> pd.DataFrame:
+    """One row per setting in which the runs differ, one column per run by its name, all unlike."""
+    frame = pd.DataFrame(differences(runs), index=pd.Index(names)).T
     return frame.rename_axis("setting").reset_index()

@@ -109,10 +109,6 @@ class Weighing:
         return self.path.name
 
     @property
-    def policy(self) -> str:
-        return self.report["policy"]
-
-    @property
     def rows(self) -> int:
         """The number of weighed transitions, those of the run before `end`."""
         return self.report["rows"]
@@ -254,11 +250,6 @@ def of_run(run: RunReader, rows: int, *, brush: bool = False) -> list[Weighing]:
     ]
     kept = [one for one in found if 0 <= one.ordered_from < one.rows <= rows]
     return sorted(kept, key=lambda one: one.written, reverse=True)
-
-
-def brushes(run: RunReader, rows: int) -> list[Weighing]:
-    """The results of `tom brush`, like `of_run`."""
-    return of_run(run, rows, brush=True)
 
 
 def every(run: RunReader, rows: int) -> list[Weighing]:

@@ -106,7 +106,7 @@ def _of_weighing(
 ) -> tuple[TomConfig, str, TensorTransitions, Tensor]:
     """What belongs to the terms of a weighing, for which the policy's rows were made anew."""
     tom, known = TomConfig.model_validate(made.report["config"]["tom"]), task(run.env)
-    policy = load_policy(made.policy, Store(run.home.parent), known, made.step)
+    policy = load_policy(made.report["policy"], Store(run.home.parent), known, made.step)
     seed, count = int(source.column.rpartition("-s")[2]), int(made.report["footprint"])
     anew = made_anew(known, policy, count, seed).transitions.torch()
     return tom, f"the weighing {made.name}", anew, torch.arange(0)

@@ -30,7 +30,7 @@ def draw(
         if value is not None:
             events[event](value)
 
-    callbacks = {f"on_{event}_change": partial(told, event) for event in events}
+    callbacks: dict[str, Any] = {f"on_{event}_change": partial(told, event) for event in events}
     shown = _renderer(name, html, tuple(scripts or [name]))
     shown(key=key, data=data, height=height, **callbacks)
 

@@ -4,7 +4,6 @@ The views are in `<store>/.views`, one small file each, named by a digest of its
 """
 
 import hashlib
-import html
 import re
 from pathlib import Path
 from urllib.parse import urlencode
@@ -17,6 +16,10 @@ from tom.record.files import read_json, replace_json
 from tom.record.store import Store
 
 CODE = re.compile(r"[0-9a-f]{8}")
+NOWHERE = (
+    "No view is kept as {} in this studio's store. A short link works only where it was made: with "
+    "the same store, and as long as its folder .views is there. Ask for the long address."
+)
 
 
 def save(store: Path | str, page: str, query: str) -> str:
@@ -45,19 +48,6 @@ def target(store: Path | str, code: str) -> str | None:
     except (OSError, ValueError, KeyError, TypeError, UserError):
         return None
     return f"/{page}?{query}" if re.fullmatch(r"[a-z]*", page) and query.isprintable() else None
-
-
-def nowhere(code: str) -> str:
-    """The HTML page for an unknown code: the possible reason, and a link to the studio."""
-    return (
-        '<!doctype html><html lang="en"><meta charset="utf-8"><title>TOM Studio: no such link'
-        '</title><meta name="color-scheme" content="light dark">'
-        '<body style="font: 1rem/1.6 sans-serif; max-width: 36rem; margin: 15vh auto; '
-        f'padding: 0 1rem"><h1>This short link leads nowhere</h1><p>No view is kept as '
-        f"<b>{html.escape(code[:40])}</b> in this studio's store. A short link works only where "
-        "it was made: with the same store, and as long as its folder <code>.views</code> is "
-        'there. Ask for the long address, or <a href="..">open the studio</a>.</p>'
-    )
 
 
 def button() -> None:

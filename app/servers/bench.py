@@ -14,14 +14,18 @@ import pandas as pd
 from PIL import Image
 
 from app.data.studies import FOLDER, QUESTIONS, REPORT
-from app.servers import browser_bench, map_bench
+from app.servers import browser_bench
 from app.servers.browser_bench import Measured
 from tom.cli import Parser
 from tom.cli.output import show_rows
-from tom.envs import ROAD
+from tom.data.transitions import Transitions
+from tom.envs import ROAD, task
+from tom.events import Collected, Weights
 from tom.record import layout
 from tom.record.reader import RunReader
+from tom.record.status import Status
 from tom.record.store import Store
+from tom.record.writer import SEGMENT_ROWS, RunWriter
 from tom.training.presets import resolve
 from tom.training.run import train
 
@@ -36,6 +40,9 @@ KINDS = (
 """the trained runs, in turn: task, learner, settings"""
 STUDIES, FIGURES, LINES = 3, 2, 300
 """for the page of studies: number of figures and table lines of each"""
+MAP_ENV, MAP_FITS = "hopper", 3
+EPISODE = 500
+"""steps of an episode of the map's runs"""
 PLAYED, FITS = "inverted-pendulum-tom-0", 120
 """the run that plays in a browser, and its fits"""
 
@@ -70,6 +77,33 @@ def make_studies(folder: Path) -> None:
         (study / REPORT).write_text("<!doctype html><title>report</title>")
 
 
+def make_run(store: Path, rows: int) -> str:
+    """A run of Hopper's dimensions with `rows` rows of noise, and weights that differ in it.
+
+    Its rows are recorded in as many parts as those of a training.
+    """
+    known, draw = task(MAP_ENV), np.random.default_rng(0)
+    config = resolve(MAP_ENV, "tom", "smoke", {})
+    writer = RunWriter.create(Store(store), f"map-{rows}", config)
+    obs = draw.normal(size=(rows + 1, known.obs_dim)).astype(np.float32)
+    action = draw.uniform(-1, 1, (rows, known.action_dim)).astype(np.float32)
+    ended = (np.arange(rows) % EPISODE == EPISODE - 1).astype(np.float32)
+    recorded = Transitions(obs[:-1], action, obs[:-1, 0], obs[1:], ended * 0, ended)
+    version = np.arange(rows) // (rows // 100)
+    for first in range(0, rows, SEGMENT_ROWS):
+        part = slice(first, first + SEGMENT_ROWS)
+        writer.rows(Collected(0, recorded[part], version[part]))
+    for i in range(MAP_FITS):
+        end = rows * (i + 1) // MAP_FITS
+        weight = np.exp(obs[:end, 0] + 0.5 * obs[:end, 1] * i)
+        fitted = Weights(end, (weight / weight.mean()).astype(np.float32), policy=None)
+        writer.snapshot(fitted, keep=True)
+        writer.profile(fitted, 100)
+    writer.status(Status(state="finished", env_step=rows))
+    writer.close()
+    return f"map-{rows}"
+
+
 def _lengthen(run: Path, points: int = POINTS) -> None:
     """Extend the run's metrics and profiles to the number of rows of a long training."""
     old = RunReader(run).metrics().ffill().bfill()
@@ -98,7 +132,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         store = Path(folder) / "runs"
         if args.map:
-            return _shown("the buffer's map in Chromium", map_bench.measure(Path(folder)), args)
+            runs = {rows: make_run(store, rows) for rows in browser_bench.DRAWN_S}
+            found = browser_bench.measure_map(store, runs)
+            return _shown("the buffer's map in Chromium", found, args)
         make_store(store, args.runs)
         _lengthen(store / PLAYED, FITS)
         make_studies(Path(folder) / FOLDER)

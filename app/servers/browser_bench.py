@@ -9,7 +9,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,7 @@ from tom.machine import processes
 from tom.record.store import Store
 
 if TYPE_CHECKING:
-    from playwright.sync_api import BrowserContext, Page
+    from playwright.sync_api import BrowserContext, Page, ViewportSize
 
 FIRST_S, PAGE_S, FOUR_CPU_S = 6.0, 2.0, 0.3
 FRESH_MB, USED_MB, CHANGES = 800.0, 1000.0, 200
@@ -34,6 +34,11 @@ FILM_S = 60.0
 """length of the film, and the seconds that it may take"""
 READERS = 4
 STOP_S = 5.0
+DRAWN_S = {40_000: 0.5, 300_000: 1.0, 1_000_000: 3.0}
+"""targets by number of rows: from a click to the drawn map"""
+BRUSHED_S = {300_000: 0.05}
+STEPPED_S = {40_000: 0.1}
+MEMORY_MB = {1_000_000: 300.0}
 SETTLE_MS, TIMEOUT_MS = 5000, 120_000
 COUNT_FRAMES = """() => new Promise((done) => {
     const play = document.querySelector(".timeline button");
@@ -49,6 +54,50 @@ COUNT_FRAMES = """() => new Promise((done) => {
     requestAnimationFrame(count);
 })"""
 """plays the timeline to its end, and counts the frames that the browser draws meanwhile"""
+
+CLICK = """async () => {
+    const link = [...document.querySelectorAll("a[data-testid=stTopNavLink]")]
+        .find(({ href }) => new URL(href).pathname.endsWith("/attention"));
+    const begun = performance.now();
+    link.click();
+    for (;;) {
+        await new Promise(requestAnimationFrame);
+        const map = document.querySelector(".buffer-map");
+        if (map?.drawnAt) return (map.drawnAt - begun) / 1000;
+    }
+}"""
+"""opens Attention from another page; seconds until the map is drawn"""
+BRUSH = """async () => {
+    const map = document.querySelector(".buffer-map");
+    const canvas = map.querySelector(".map-hist[data-name='reward'] canvas");
+    const { left, width, top } = canvas.getBoundingClientRect();
+    const at = (share, kind) => canvas.dispatchEvent(new PointerEvent(kind, {
+        clientX: left + share * width, clientY: top + 5, pointerId: 1, bubbles: true }));
+    canvas.setPointerCapture = () => {};
+    at(0.3, "pointerdown");
+    const taken = [];
+    for (let i = 0; i < 12; i++) {
+        const begun = performance.now();
+        at(0.4 + 0.02 * i, "pointermove");
+        taken.push(map.drawnAt - begun);
+        await new Promise(requestAnimationFrame);
+    }
+    at(0.64, "pointerup");
+    return taken.sort((a, b) => a - b)[taken.length >> 1] / 1000;
+}"""
+"""drags over a histogram; median seconds from a move to all panels drawn"""
+STEP = """async () => {
+    const map = document.querySelector(".buffer-map");
+    const taken = [];
+    for (const { step } of [...map.given.sources, ...map.given.sources]) {
+        const begun = performance.now();
+        window.dispatchEvent(new CustomEvent("tom:step", { detail: step }));
+        if (map.drawnAt > begun) taken.push(map.drawnAt - begun);
+        await new Promise(requestAnimationFrame);
+    }
+    return taken.sort((a, b) => a - b)[taken.length >> 1] / 1000;
+}"""
+"""moves the timeline from fit to fit; median seconds until the map shows the fit"""
 
 
 @dataclass(frozen=True)
@@ -116,6 +165,33 @@ def measure(store: Path, played: str, changes: int = CHANGES) -> Iterator[Measur
         yield Measured("film of a minute", time.monotonic() - began, "s", FILM_S)
 
 
+def measure_map(store: Path, runs: Mapping[int, str]) -> Iterator[Measured]:
+    """Open the map of runs, by their number of rows, in a browser; brush it; move the timeline.
+
+    Raises UserError if there is no browser, RuntimeError if the studio does not start.
+    """
+    with chromium() as browser, _studio(store) as (_, _, address):
+        viewport: ViewportSize = {"width": 1280, "height": 900}
+        context = browser.new_context(viewport=viewport, base_url=address)
+        for rows, run in runs.items():
+            for turn in ("first", "again"):
+                page = _tab(context)
+                page.goto(f"/findings?run={run}")
+                page.locator(".runlist .section").first.wait_for()
+                page.wait_for_timeout(SETTLE_MS)
+                drawn = float(page.evaluate(CLICK))
+                what = f"{rows:,} rows, {turn}: click to map"
+                yield Measured(what, drawn, "s", DRAWN_S.get(rows))
+            page.wait_for_function("document.querySelector('.buffer-map').dataset.loaded")
+            page.wait_for_timeout(SETTLE_MS)
+            yield Measured(f"{rows:,} rows: brush", page.evaluate(BRUSH), "s", BRUSHED_S.get(rows))
+            page.wait_for_timeout(SETTLE_MS)
+            step = page.evaluate(STEP)
+            yield Measured(f"{rows:,} rows: timeline step", step, "s", STEPPED_S.get(rows))
+            held = _script_mb(page)
+            yield Measured(f"{rows:,} rows: page memory", held, "MB", MEMORY_MB.get(rows))
+
+
 def _tab(context: "BrowserContext") -> "Page":
     page = context.new_page()
     page.set_default_timeout(TIMEOUT_MS)
@@ -177,3 +253,11 @@ def processor_s(pid: int) -> float:
     """Processor seconds that a process and all below it have used."""
     rows = [(one / "stat").read_text().rpartition(")")[2].split() for one in _family(pid)]
     return sum(int(ticks) for row in rows for ticks in row[11:13]) / os.sysconf("SC_CLK_TCK")
+
+
+def _script_mb(page: "Page") -> float:
+    """MB that the page's script holds: its heap and its arrays."""
+    session = page.context.new_cdp_session(page)
+    session.send("HeapProfiler.collectGarbage")
+    used = session.send("Runtime.getHeapUsage")
+    return (used["usedSize"] + used.get("backingStorageSize", 0)) / 1e6

@@ -3,7 +3,6 @@
 import logging
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from threading import Thread
 from urllib.parse import parse_qsl, urlencode
@@ -153,12 +152,17 @@ def routes(links: Links) -> list[BaseRoute]:
         code = request.path_params["code"]
         target = shortlinks.target(links.store, code)
         if target is None:
-            return HTMLResponse(shortlinks.nowhere(code), status_code=404)
+            return PlainTextResponse(shortlinks.NOWHERE.format(code[:40]), status_code=404)
         return RedirectResponse(f"..{target}", status_code=302)
 
     def forward(request: Request) -> Response:
         page = request.url.path.rpartition("/")[2]
         return RedirectResponse(f".{forwarded(f'/{page}', request.url.query)}")
+
+    shell = html()
+
+    def page(_: Request) -> Response:
+        return HTMLResponse(shell, headers={"Cache-Control": "no-cache"})
 
     return [
         Route("/v/{code}", short),
@@ -170,18 +174,8 @@ def routes(links: Links) -> list[BaseRoute]:
         Route(f"/{cache.ARRAYS}/{{name}}", array),
         Route("/api/figure", figure, methods=["POST"]),
         *viewers.routes(links),
-        *page_routes([view.PATH for view in views()]),
+        *[Route(f"/{view.PATH}", page) for view in views()],
     ]
-
-
-def page_routes(paths: Sequence[str]) -> list[Route]:
-    """The shell at the address of every page."""
-    content = html()
-
-    def page(_: Request) -> Response:
-        return HTMLResponse(content, headers={"Cache-Control": "no-cache"})
-
-    return [Route(f"/{path}", page) for path in paths]
 
 
 def html() -> str:
@@ -198,12 +192,6 @@ def forwarded(path: str, query: str) -> str:
     given = [(RENAMED.get((path, name), name), value) for name, value in given]
     words = urlencode([*more.items(), *given])
     return f"{page}?{words}".removesuffix("?")
-
-
-def app(links: Links) -> st.App:
-    """The application of this process, behind the access control."""
-    guard = Middleware(Guard, links=links)
-    return st.App(ENTRY.resolve(), routes=routes(links), middleware=[guard])
 
 
 def options(links: Links) -> dict:
@@ -259,7 +247,9 @@ def main() -> None:
     plugins.load()
     links = Links.from_environment()
     Thread(target=warm, args=(links,), daemon=True).start()
-    app(links).run(config=options(links))
+    guard = Middleware(Guard, links=links)
+    app = st.App(ENTRY.resolve(), routes=routes(links), middleware=[guard])
+    app.run(config=options(links))
 
 
 if __name__ == "__main__":

@@ -292,7 +292,7 @@ def table(run: RunReader, source: Source) -> pd.DataFrame:
 def listed(run: RunReader, rows: Rows, index: np.ndarray) -> pd.DataFrame:
     """One line for each of these rows: its weight, its origin, s, a, r and s'."""
     part = rows.rows[index].numpy()
-    names, actions = buffer_map.named(run)
+    names, actions = buffer.named(run)
     table = {
         "weight": rows.weight[index],
         "row": rows.first + index,

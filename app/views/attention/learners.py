@@ -103,8 +103,8 @@ def _weighed(weighing: Weighing, rows: int) -> None:
         st.markdown(text.unbroken(sentence))
     with st.container(border=True):
         st.markdown(
-            f"**By the policy of {text.markdown(weighing.policy)}**: the dotted line ends the "
-            "random data"
+            f"**By the policy of {text.markdown(weighing.report['policy'])}**: the dotted line "
+            "ends the random data"
         )
         share = weighing.ordered_from / len(next(iter(of.values())))
         figure = probe_profiles(weighings.profiles(of), share, 400, keep=weighing.name)

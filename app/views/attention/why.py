@@ -10,7 +10,7 @@ import pandas as pd
 import streamlit as st
 
 from app import session, text
-from app.data import buffer, buffer_map, weighings
+from app.data import buffer, weighings
 from app.data import why as reasons
 from app.data.buffer import Rows
 from app.data.buffer_map import Source
@@ -124,7 +124,7 @@ def _pick(rows: Rows) -> None:
 def _neighbours(run: RunReader, rows: Rows, found: Why, row: int) -> None:
     near = reasons.neighbours(rows, found, row)
     st.markdown("**Its nearest of the policy's own transitions**")
-    names, actions = buffer_map.named(run)
+    names, actions = buffer.named(run)
     obs, action = np.asarray(near.rows.obs), np.asarray(near.rows.action)
     own = np.concatenate([np.asarray(rows.rows.obs)[row], np.asarray(rows.rows.action)[row]])
     table = pd.DataFrame({"": [*names, *actions], "this one": own})
@@ -159,7 +159,7 @@ def _rollouts(run: RunReader, rows: Rows, row: int) -> None:
         st.caption(f"No rollouts: {text.markdown(rollouts)}.")
         return
     paths = rollouts.paths
-    names, _ = buffer_map.named(run)
+    names, _ = buffer.named(run)
     moved = paths[:, 1].std(0) / np.maximum(np.asarray(rows.rows.obs).std(0), 1e-9)
     first = int(np.nan_to_num(moved).argmax())
     name = st.selectbox("Dimension", names, index=first, key="why dimension")
@@ -199,7 +199,7 @@ def _offer(run: RunReader, rows: Rows) -> None:
 
 def brush(run: RunReader, source: Source, mask: Mask) -> None:
     """Start a brush of the chosen region, and show earlier ones."""
-    brushes = weighings.brushes(run, buffer.length(run))
+    brushes = weighings.of_run(run, buffer.length(run), brush=True)
     regions = {one.name: one for one in map(weighings.brushed, brushes) if one is not None}
     with st.container(border=True):
         st.markdown("**What if this region counted more, or less?**")

@@ -8,6 +8,7 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers, tables
+from app.data.called import told_apart
 from app.parts import address, widgets
 from app.parts.scope import Scope, toggle
 from app.theme import learner_label
@@ -139,7 +140,7 @@ def _try(act: Callable[[], object], done: str) -> None:
 def settings(shown: Sequence[RunReader]) -> None:
     """The settings that differ, one column per run; those unlike the first run's are marked."""
     some = shown[:MOST_COLUMNS]
-    table = tables.settings(some, [run.name for run in some])
+    table = tables.settings(some, told_apart(some, by_user=True).values())
     if table.empty:
         st.info("These runs have the same settings." if len(shown) > 1 else "One run alone.")
         return

@@ -65,7 +65,7 @@ def test_every_point_of_every_run_is_there(grouped: list[Group]) -> None:
 
 def test_settings_have_a_column_for_each_run() -> None:
     one, other = SimpleNamespace(settings={"y": "2"}), SimpleNamespace(settings={"y": "3"})
-    frame = tables.settings([one, other], ["one", "one"])  # pyright: ignore[reportArgumentType]
-    assert list(frame.columns) == ["setting", "one", "one (2)"]
+    frame = tables.settings([one, other], ["one", "other"])  # pyright: ignore[reportArgumentType]
+    assert list(frame.columns) == ["setting", "one", "other"]
     assert frame.loc[0].tolist() == ["y", "2", "3"]
     assert tables.settings([one], ["one"]).empty  # pyright: ignore[reportArgumentType]

@@ -11,7 +11,7 @@ from studio_runs import PENDULUM_TOM
 
 from app.data import buffer_map, columns
 from app.data.selection import Selection
-from app.servers import map_bench
+from app.servers import bench, browser_bench
 from tom.record.reader import RunReader
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def test_the_map_shows_a_fits_own_weights_as_soon_as_the_timeline_moves(
 
 
 def test_the_bench_measures_a_buffer(tmp_path: Path) -> None:
-    found = list(map_bench.measure(tmp_path, (400,)))
+    found = list(browser_bench.measure_map(tmp_path, {400: bench.make_run(tmp_path, 400)}))
     assert [one.what for one in found] == [
         f"400 rows{what}"
         for what in (

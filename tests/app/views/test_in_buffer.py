@@ -16,6 +16,7 @@ from studio_runs import PENDULUM_TOM, info
 
 from app.data import buffer, buffer_map, cache, columns
 from app.data.buffer import WINDOW, Rows, poses, windows
+from app.data.columns import Column
 from app.data.selection import between, inside
 from app.parts import timeline
 from app.scenes import control, solids
@@ -122,13 +123,13 @@ def test_an_outline_holds_what_is_inside() -> None:
 
 def test_codes_keep_the_order_and_the_ends() -> None:
     values = np.random.default_rng(0).normal(size=2000)
-    codes = columns.encode(values, -1.0, 1.0)
-    back = columns.decode(codes, -1.0, 1.0)
+    codes = columns.encode(values, Column("", -1.0, 1.0))
+    back = columns.decode(codes, Column("", -1.0, 1.0))
     assert back == pytest.approx(values.clip(-1, 1), abs=2e-5)
     column = columns.Column("x", -1.0, 1.0)
     assert between(codes, column, (0.25, None)).sum() == (values >= 0.25).sum()
     assert between(codes, column, (None, None)).all()
-    unknown = columns.encode(np.array([0.5, np.nan]), 0.0, 1.0)
+    unknown = columns.encode(np.array([0.5, np.nan]), Column("", 0.0, 1.0))
     assert between(unknown, columns.Column("x", 0.0, 1.0), (None, 1.0)).tolist() == [True, False]
 
 
@@ -189,7 +190,7 @@ def test_the_browser_gets_each_array_of_the_buffer(rows: Rows, store: Path) -> N
     assert array(source["url"]).tolist() == columns.weight_codes(rows.weight).tolist()
     recorded = RunReader(store / PENDULUM_TOM).buffer()[0]
     [angle] = [one for one in given["columns"] if one["name"] == "pole angle"]
-    back = columns.decode(array(angle["url"]), angle["low"], angle["high"])
+    back = columns.decode(array(angle["url"]), Column("", angle["low"], angle["high"]))
     known = np.asarray(recorded.obs)[:, 1].clip(angle["low"], angle["high"])
     assert back == pytest.approx(known, abs=1e-3)
     last = max(one["step"] for one in given["sources"])
@@ -204,7 +205,7 @@ def test_map_and_file_have_one_policy_distance_that_of_the_fits_own_policy(store
     for fit in RunReader(store / PENDULUM_TOM).policy_steps():
         content = cache.array(given[fit]["distance"].rpartition("/")[2])
         assert content is not None
-        far = columns.decode(np.frombuffer(content, np.uint16), 0, 2)
+        far = columns.decode(np.frombuffer(content, np.uint16), columns.DISTANCE)
         saved = table(run, buffer_map.sources(run)[str(fit)])["policy_distance"].to_numpy()
         assert far == pytest.approx(saved, abs=1e-4)
         near = selected(where=["policy distance ..0.5"], step=str(fit))
