@@ -7,7 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from app.servers.launcher import Studio, run
+from app.links import Links
+from app.servers.launcher import run
 from tom import plugins
 from tom.cli import Parser
 from tom.cli.parser import folder
@@ -40,8 +41,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             from app.servers import cinema  # needs playwright, too
 
             return cinema.export(store, args.run, args.cinema, args.theme or "light")
-        studio = Studio(store, args.host, args.port, args.base_path, args.theme)
-        return run(studio, browser=not args.no_browser)
+        asked = Links(str(store), args.host, args.port, args.base_path, theme=args.theme)
+        return run(asked, browser=not args.no_browser)
     except (UserError, OSError) as error:
         print(f"tom studio: {terminal(error)}", file=sys.stderr)
         return 2
@@ -56,13 +57,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
     parser.add_argument("--host", default="127.0.0.1", help="address to bind to (127.0.0.1)")
-    parser.add_argument(
-        "--port",
-        type=int,
-        default=None,
-        metavar="N",
-        help="port of the pages [a free one]",
-    )
+    parser.add_argument("--port", type=int, default=0, metavar="N", help="port of the pages [free]")
     parser.add_argument(
         "--base-path",
         type=base_path,

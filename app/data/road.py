@@ -75,6 +75,12 @@ def picture(run: RunReader, step: int) -> Picture | None:
     return Picture(run.learner, step, road, grid, expert, learnt, **moves)
 
 
+def fit(run: RunReader, step: int) -> Picture | None:
+    """The fit at `step`, else the last one before; None if none is recorded or it is damaged."""
+    recorded = steps(run)
+    return picture(run, at_or_before(recorded, step)) if recorded else None
+
+
 def trajectories(arrays: Mapping[str, NDArray], kind: str) -> list[NDArray]:
     """The driven lines (H + 1, 2) of a kind, `expert` or `learnt`, in order."""
     names = [name for name in arrays if name.startswith(f"{kind}_")]
@@ -89,9 +95,9 @@ def distance_to_road(points: NDArray, centre_line: NDArray) -> NDArray[np.float6
     return np.linalg.norm(offset - share[..., None] * along, axis=-1).min(-1)
 
 
-def on_road(points: NDArray, road: RoadShape) -> NDArray[np.bool_]:
-    """A mask (N,) of the points (N, 2) on the road."""
-    return distance_to_road(points, road.centre_line) <= road.half_width
+def on_road(points: NDArray, road: RoadShape, margin: float = 0.0) -> NDArray[np.bool_]:
+    """A mask (N,) of the points (N, 2) on the road, or at most `margin` beside it."""
+    return distance_to_road(points, road.centre_line) <= road.half_width + margin
 
 
 def weight_grid(obs: NDArray, weight: NDArray) -> NDArray[np.float64]:

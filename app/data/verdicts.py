@@ -8,6 +8,7 @@ the table's own). A study that has an acceptance is judged by how many of its nu
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from math import exp, isfinite, log, nan
 from statistics import median
@@ -20,7 +21,7 @@ from tom.analysis.statistics import COVERAGE, Interval
 from tom.learners import LEARNERS
 from tom.readable import percent
 from tom.studies.frozen import ERROR, MENDED, MODELS, PRINTED, UNIFORM, WAYS
-from tom.studies.moments import over_recordings, ratios, sign_test, telling, trial_of
+from tom.studies.moments import Value, over_recordings, ratios, sign_test, telling, trial_of
 from tom.studies.study import Row
 
 EVERY_WAY = "Does weighing nearer to the policy make the paper's model better there?"
@@ -128,11 +129,8 @@ def _footprint(tables: Tables) -> Verdict:
 
 
 def _capacity(tables: Tables) -> Verdict:
-    table = [
-        row
-        for row in tables["head-to-head"]
-        if row["against"] == "uniform" and row["way"] in LABELS
-    ]
+    pairs = [row for row in tables["head-to-head"] if row["against"] == UNIFORM]
+    table = [row for row in pairs if row["way"] in LABELS]
     of_tom = [row for row in table if row["way"] in (PRINTED, MENDED)]
     ours, whose = (of_tom, "TOM's") if of_tom else (table, "These")
     models = list(dict.fromkeys(row["model"] for row in ours))
@@ -178,9 +176,8 @@ def _improvement(tables: Tables) -> Verdict:
 def _returns(tables: Tables) -> Verdict:
     of_tom = {"TOM": LABELS[PRINTED], "TOM, mended": LABELS[MENDED]}
     shown = {label: label for label in BY_LABEL} | of_tom
-    table = [
-        row for row in tables["improvement"] if row["against"] == "MLE" and row["learner"] in shown
-    ]
+    pairs = [row for row in tables["improvement"] if row["against"] == "MLE"]
+    table = [row for row in pairs if row["learner"] in shown]
     ours = [row for row in table if row["learner"] in of_tom]
     sides = [_side(row["p of all"], row["wins"] > 0.5) for row in ours]
     chances = [
@@ -224,10 +221,9 @@ def _focus(tables: Tables) -> Verdict:
         f"{', '.join(counts)} (least p {min(one.p for one in signs.values()):.2g})."
     )
     least = min(1.0, 2.0 ** (1 - max(one.n for one in signs.values())))
-    price = median(row["random / mle"] for row in ours)
     against = (
-        f"On the buffer's random half the error is {price:.2f} times MLE's (median). So few "
-        f"recordings have no p below {least:.2g}."
+        f"On the buffer's random half the error is {median(row['random / mle'] for row in ours):.2f} "
+        f"times MLE's (median). So few recordings have no p below {least:.2g}."
     )
     points = [
         Point(row["recording"], called[row["rival"]],
@@ -266,14 +262,13 @@ RULES: dict[str, Callable[[Tables], Verdict]] = {
 
 def _by_rows(rows: Sequence[Row]) -> str:
     """The word for rows of a quantity that is better below 1, by their intervals or tests."""
-    return word_of(
-        [
-            (row["high"] < 1) - (row["low"] > 1)
-            if isfinite(row["low"])
-            else _side(row["p"] * len(rows), 2 * row["better on"] > row["recordings"])
-            for row in rows
-        ]
-    )
+
+    def side(row: Row) -> int:
+        if isfinite(row["low"]):
+            return (row["high"] < 1) - (row["low"] > 1)
+        return _side(row["p"] * len(rows), 2 * row["better on"] > row["recordings"])
+
+    return word_of([side(row) for row in rows])
 
 
 def _side(p: float, better: bool) -> int:
@@ -316,53 +311,47 @@ def symbol(way: str) -> str:
 def every_ways(listed: Sequence[Study]) -> dict[str, Verdict]:
     """`EVERY_WAY` answered by each footprint study with the capacity study whose name ends alike.
 
-    By that ending: `footprint` goes with `capacity`, `footprint-ways` with `capacity-ways`.
+    By that ending: `footprint` goes with `capacity`, `footprint-ways` with `capacity-ways`. What
+    counts are the moments that both have; without any there is no answer.
     """
     alike: dict[str, dict[str, Study]] = {}
     for study in listed:
         alike.setdefault(study.name.removeprefix(study.verb), {}).setdefault(study.verb, study)
-    return {ending: found for ending, of in alike.items() if (found := every_way(of)) is not None}
-
-
-def every_way(of: Mapping[str, Study]) -> Verdict | None:
-    """The ways at the moments that both studies have, by verb; None without such moments."""
-    try:
-        near, errs = (_tables(of[name])["moments"] for name in ("footprint", "capacity"))
-        shared = {*map(trial_of, near)} & {*map(trial_of, errs)}
-        near, errs = ([row for row in rows if trial_of(row) in shared] for rows in (near, errs))
-        distances = [(row, row["footprint"]) for row in telling(near)]
-        errors = [(row, log(r)) for row, model, r in ratios(errs, ERROR) if model == PAPERS]
-    except (KeyError, ValueError):  # not computed, or tables of another version
-        return None
-    every = (_panel(env, distances, errors) for env in dict.fromkeys(row["env"] for row in errs))
-    panels = [panel for panel in every if len(panel.ways) > 1]
-    if not panels:
-        return None
-    one_sided = {row["way"] for row in near} ^ {row["way"] for row in errs}
-    return Verdict(*_answer(panels), panels=panels, caption=_caption(panels, one_sided))
+    found = {}
+    for ending, of in alike.items():
+        with suppress(KeyError, ValueError):  # one is not computed, or tables of another version
+            near, errs = (_tables(of[name])["moments"] for name in ("footprint", "capacity"))
+            shared = {*map(trial_of, near)} & {*map(trial_of, errs)}
+            near, errs = ([row for row in rows if trial_of(row) in shared] for rows in (near, errs))
+            distances = [(row, row["footprint"]) for row in telling(near)]
+            errors = [(row, log(r)) for row, model, r in ratios(errs, ERROR) if model == PAPERS]
+            every = (_panel(env, distances, errors) for env in {row["env"]: 0 for row in errs})
+            panels = [panel for panel in every if len(panel.ways) > 1]
+            one_sided = {row["way"] for row in near} ^ {row["way"] for row in errs}
+            if panels:
+                caption = _caption(panels, one_sided)
+                found[ending] = Verdict(*_answer(panels), panels=panels, caption=caption)
+    return found
 
 
 def _panel(env: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) -> Panel:
-    """A task's ways by the distances and by the logarithms of the errors at its moments."""
-    near, errs = _typical(env, distances), _typical(env, errors)
+    """A task's ways by the distances and by the logarithms of the errors at its moments.
+
+    By way the mean over recordings of the median over moments; intervals resample recordings.
+    """
+    near, errs = dict[str, list[Value]](), dict[str, list[Value]]()
+    for outcomes, of_way in ((distances, near), (errors, errs)):
+        for row, value in outcomes:
+            if row["env"] == env:
+                of_way.setdefault(row["way"], []).append((env, row["recording"], value))
     even = Interval(1, 1, 1)
-    ways = [
-        (way, near[way], Interval(*map(exp, (e.value, e.low, e.high))))
-        for way, e in errs.items()
-        if way in near
-    ]
+    ways = [(UNIFORM, even, even)]
+    for way in (way for way in WAYS if way in near and way in errs):
+        error = over_recordings(errs[way])
+        ends = Interval(exp(error.value), exp(error.low), exp(error.high))
+        ways.append((way, over_recordings(near[way]), ends))
     moments = {(row["recording"], row["step"]) for row, _ in errors if row["env"] == env}
-    recordings = {recording for recording, _ in moments}
-    return Panel(env, [(UNIFORM, even, even), *ways], len(recordings), len(moments))
-
-
-def _typical(env: str, outcomes: Sequence[Outcome]) -> dict[str, Interval]:
-    """By way the mean over recordings of the median over moments; intervals resample recordings."""
-    values: dict[str, list[tuple[str, str, float]]] = {}
-    for row, value in outcomes:
-        if row["env"] == env:
-            values.setdefault(row["way"], []).append((env, row["recording"], value))
-    return {way: over_recordings(values[way]) for way in WAYS if way in values}
+    return Panel(env, ways, len({recording for recording, _ in moments}), len(moments))
 
 
 def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
@@ -376,8 +365,9 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
         both = [LABELS.get(way, way) for way, near, e in ways if near.high < 1 and e.high < 1]
         all_worse = all(error.low > 1 for *_, error in ways)
         sides.append(bool(both) - all_worse)
-        none = "none, all err more" if all_worse else "none"
-        told.append(f"{called.task(panel.env)}: {', '.join(both) or none}.")
+        told.append(
+            f"{called.task(panel.env)}: {', '.join(both) or 'none' + ', all err more' * all_worse}."
+        )
     sentence = (
         "Both nearer to the policy and of smaller error than uniform weights, by their intervals. "
         + " ".join(told)

@@ -1,8 +1,7 @@
 """Road-and-rocks in 3D: in a browser frame, and as one HTML file that plays without a server."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from itertools import pairwise
+from contextlib import suppress
 
 import numpy as np
 import viser
@@ -21,7 +20,6 @@ from app.scenes.solids import Colour, Robot, copies, weight_colours
 from app.theme import NEUTRAL, Mode, learner_colour, rgb
 from tom.errors import UserError
 from tom.machine.address import free_port
-from tom.record.reader import at_or_before
 
 LAYERS = (
     ("columns", "weights as columns", True),
@@ -183,9 +181,8 @@ def _lines(
     height: float,
     thickness: float,
 ) -> viser.SceneNodeHandle:
-    points = segments(lines, height)
     return scene.add_line_segments(
-        name, points, colour, thickness=thickness, thickness_units="screen"
+        name, segments(lines, height), colour, thickness=thickness, thickness_units="screen"
     )
 
 
@@ -246,7 +243,7 @@ def stones(road: RoadShape) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     draw = np.random.default_rng(3)
     places = draw.uniform(0.01, 0.99, (4 * STONES, 2))
     size = draw.uniform(0.004, 0.013, 4 * STONES)
-    off = ~on_road(places, replace(road, half_width=road.half_width + 0.02))
+    off = ~on_road(places, road, 0.02)
     places, size = places[off][:STONES], size[off][:STONES]
     return np.column_stack([places, size * 0.35]).astype(np.float32), size.astype(np.float32)
 
@@ -258,16 +255,12 @@ def segments(lines: Sequence[NDArray] | NDArray, height: float) -> NDArray[np.fl
     return np.concatenate([flat, np.full((*flat.shape[:2], 1), height)], -1).astype(np.float32)
 
 
-def dashes(line: NDArray) -> list[NDArray]:
-    """The dashes, (2, 2) each, of a polyline (P, 2)."""
-    parts = []
-    for a, b in pairwise(line):
-        share = DASH / np.linalg.norm(b - a)
-        parts += [
-            np.stack([a + s * (b - a), a + min(s + share, 1) * (b - a)])
-            for s in np.arange(0, 1, 2 * share)
-        ]
-    return parts
+def dashes(line: NDArray) -> NDArray:
+    """The dashes (K, 2, 2) of a polyline (P, 2), as long as the gaps between them."""
+    along = np.append(0, np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum())
+    at = np.arange(0, along[-1], DASH)
+    ends = np.stack([np.interp(at, along, axis) for axis in line.T], 1)
+    return ends[: len(ends) // 2 * 2].reshape(-1, 2, 2)
 
 
 def together(lines: Sequence[NDArray]) -> NDArray:
@@ -344,12 +337,9 @@ class RoadFrame(Frame):
 
     def _fit_of(self, run_id: str, step: int) -> Picture | None:
         """A run's fit at `step`, else the last one before; None if it was deleted or damaged."""
-        try:
-            run = self.store.run(run_id)
-        except UserError:
-            return None
-        steps = road.steps(run)
-        return road.picture(run, at_or_before(steps, step)) if steps else None
+        with suppress(UserError):
+            return road.fit(self.store.run(run_id), step)
+        return None
 
     def _draw(self, shown: list[tuple[str, Picture]]) -> None:
         if len(shown) != len(self._scenes):

@@ -13,8 +13,9 @@ from urllib.parse import urlencode
 from PIL import Image
 
 from app.data import readers, road
+from app.links import Links
 from app.parts import widgets
-from app.servers.launcher import Studio, serving
+from app.servers.launcher import serving
 from app.theme import Mode
 from tom.envs import ROAD
 from tom.errors import UserError
@@ -175,7 +176,7 @@ def take(store: Path, folder: Path) -> int:
 
     Raises UserError if the browser is missing, or if an animation would be too large.
     """
-    with serving(Studio(store=store), Event()) as (links, running), chromium() as browser:
+    with serving(Links(str(store)), Event()) as (links, running), chromium() as browser:
         if running is None:
             return 1
         folder.mkdir(parents=True, exist_ok=True)

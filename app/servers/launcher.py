@@ -13,18 +13,14 @@ import time
 import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING
 
 from app.links import Links
 from tom.errors import UserError
 from tom.harmless import terminal
 from tom.machine import address, processes
-
-if TYPE_CHECKING:
-    from app.theme import Mode
 
 DEFAULT_PORT = 8600
 START_TIMEOUT_S = 60.0
@@ -44,17 +40,6 @@ OPEN = (
 STOP_GRACE_S = 3.0
 LOG_TAIL = 12
 HEALTH, HEALTH_BYTES = "/api/health", 65536
-
-
-@dataclass(frozen=True)
-class Studio:
-    """The options of a studio. A given `port` must be free; by default a free one is chosen."""
-
-    store: Path
-    host: str = "127.0.0.1"
-    port: int | None = None
-    base: str = ""
-    theme: "Mode | None" = None
 
 
 @dataclass
@@ -122,18 +107,18 @@ class Server:
         self.process.wait()
 
 
-def run(studio: Studio, *, browser: bool) -> int:
+def run(asked: Links, *, browser: bool) -> int:
     """Serve until SIGINT or SIGTERM (returns 0), or until the page server fails (returns 1)."""
     stopping = Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: stopping.set())
-    with serving(studio, stopping) as (links, server):
+    with serving(asked, stopping) as (links, server):
         if stopping.is_set():
             return 0
         if server is None:
             return 1
-        missing = "" if studio.store.exists() else ", which is not there yet"
-        store = f"store {studio.store}{missing}"
+        missing = "" if Path(links.store).exists() else ", which is not there yet"
+        store = f"store {links.store}{missing}"
         print(f"tom studio: {links.opened()}  ({store}; Ctrl-C stops it)", flush=True)
         if links.base:
             print(f"            behind a proxy: its address in place of {links.root}", flush=True)
@@ -151,13 +136,13 @@ def run(studio: Studio, *, browser: bool) -> int:
 
 
 @contextmanager
-def serving(studio: Studio, stopping: Event) -> Iterator[tuple[Links, Server | None]]:
-    """The links and the healthy page server of a studio; None if that did not start.
+def serving(asked: Links, stopping: Event) -> Iterator[tuple[Links, Server | None]]:
+    """The links and the healthy page server of a studio, as `asked`; None if that did not start.
 
     Raises UserError if it cannot listen where it should.
     """
     with tempfile.TemporaryDirectory(prefix="tom-studio-") as folder:
-        links = plan(studio, folder)
+        links = plan(asked, folder)
         if not links.local_only:
             print(OPEN, file=sys.stderr)
         server, up = Server(links), False
@@ -168,7 +153,7 @@ def serving(studio: Studio, stopping: Event) -> Iterator[tuple[Links, Server | N
                 if up or stopping.is_set() or not server.port_was_taken:
                     break
                 # Another program took it, if only for a moment, after it was found free.
-                links = plan(studio, folder)
+                links = plan(asked, folder)
                 server = Server(links)
             if not up and not stopping.is_set():
                 print(f"tom studio: it did not start:\n{server.tail()}", file=sys.stderr)
@@ -177,28 +162,23 @@ def serving(studio: Studio, stopping: Event) -> Iterator[tuple[Links, Server | N
             server.stop()
 
 
-def plan(studio: Studio, folder: str) -> Links:
-    """The links of a studio. Raises UserError if it cannot listen on its host and port."""
+def plan(asked: Links, folder: str) -> Links:
+    """The links of a studio as `asked`, with a port (that of `asked` must be free) and a key.
+
+    Raises UserError if it cannot listen on its host and port.
+    """
     try:
-        port = _port(studio.host, studio.port)
+        port = _port(asked.host, asked.port)
     except (OSError, OverflowError) as error:
         raise UserError(
-            f"cannot listen on --host {studio.host}: {error}; use 127.0.0.1 or an address of "
+            f"cannot listen on --host {asked.host}: {error}; use 127.0.0.1 or an address of "
             "this machine"
         ) from error
-    return Links(
-        store=str(studio.store),
-        host=studio.host,
-        port=port,
-        base=studio.base,
-        folder=folder,
-        theme=studio.theme,
-        key=secrets.token_urlsafe(),
-    )
+    return replace(asked, port=port, folder=folder, key=secrets.token_urlsafe())
 
 
-def _port(host: str, asked: int | None) -> int:
-    if asked is None:
+def _port(host: str, asked: int) -> int:
+    if not asked:
         return DEFAULT_PORT if is_free(host, DEFAULT_PORT) else address.free_port(host)
     if not 1 <= asked <= 65535:
         raise UserError(f"--port {asked} is no port: use one from 1024 to 65535")

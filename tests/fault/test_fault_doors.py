@@ -22,7 +22,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from app.links import Links
-from app.servers.launcher import Studio, serving
+from app.servers.launcher import serving
 from tom.record import Store
 from tom.training.run import train
 
@@ -37,7 +37,7 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Links]:
     """A real studio of one finished run."""
     store = tmp_path_factory.mktemp("doors") / "store"
     train(config(), Store(store), "a", rerun=False)
-    with serving(Studio(store=store), Event()) as (links, running):
+    with serving(Links(str(store)), Event()) as (links, running):
         assert running
         yield links
 

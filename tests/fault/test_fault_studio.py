@@ -236,7 +236,7 @@ def test_a_host_that_others_reach__is_explicit_and_warns_before_anything_starts(
 ):
     stopping = Event()
     stopping.set()
-    with launcher.serving(launcher.Studio(tmp_path, host), stopping) as (links, running):
+    with launcher.serving(Links(str(tmp_path), host), stopping) as (links, running):
         assert (links.host, running) == (host, None)
         warned = "reachable from other machines" in capsys.readouterr().err
     assert warned == (host != "127.0.0.1")

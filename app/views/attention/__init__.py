@@ -12,7 +12,6 @@ from app.data.answer import newest_share
 from app.data.cache import VersionedCache
 from app.data.called import names, told_apart
 from app.data.exams import at_fit
-from app.data.road import Picture
 from app.data.weighings import Dataset
 from app.figures.road import cells, road_map
 from app.figures.weights import FLOOR, over_fits, weight_profile
@@ -329,7 +328,7 @@ def _road(scope: Scope, run: RunReader, step: int) -> None:
         "Side by side with", list(others), "beside", names(shown).__getitem__,
         max_selections=MOST_BESIDE, placeholder="no other run",
     )  # fmt: skip
-    picture = _fit(run, step)
+    picture = road.fit(run, step)
     if picture is None:
         st.warning("This run's map cannot be read.")
         return
@@ -354,14 +353,9 @@ def _road(scope: Scope, run: RunReader, step: int) -> None:
         widgets.show_problems(each)
 
 
-def _fit(run: RunReader, step: int) -> Picture | None:
-    """A run's record at `step`, else the last one before."""
-    return road.picture(run, at_or_before(road.steps(run), step))
-
-
 def _flat_map(run: RunReader, step: int, height: int, called: str = "") -> None:
     """The map, whose cells follow the timeline in the browser."""
-    picture = _fit(run, step)
+    picture = road.fit(run, step)
     if picture is None:
         st.caption(f"The map of {text.markdown(run.run_id)} cannot be read.")
         return
@@ -383,7 +377,7 @@ def _export(runs: Sequence[RunReader], called: list[str]) -> None:
         from app.scenes.road import as_html  # here: viser and trimesh take 0.7 s to import
 
         steps = sorted({step for run in runs for step in road.steps(run)})
-        fits = [[_fit(run, step) for run in runs] for step in steps]
+        fits = [[road.fit(run, step) for run in runs] for step in steps]
         whole = [[one for one in fit if one is not None] for fit in fits if all(fit)]
         return as_html(whole, mode, called)
 

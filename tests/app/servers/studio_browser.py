@@ -17,7 +17,7 @@ from PIL import Image
 
 from app.links import Links
 from app.servers.browser import chromium
-from app.servers.launcher import Studio, serving
+from app.servers.launcher import serving
 
 if TYPE_CHECKING:
     from playwright.sync_api import (
@@ -170,7 +170,7 @@ def studio_and_browser(store: Path, base: str = "") -> Iterator[tuple[Links, "Br
     Fails at the end if a page of the studio, or a file saved from it, had an error.
     """
     errors: list[str] = []
-    with serving(Studio(store, base=base), Event()) as (links, running), chromium() as browser:
+    with serving(Links(str(store), base=base), Event()) as (links, running), chromium() as browser:
 
         def note(page: "Page | None", error: str) -> None:
             if page is None or page.url.startswith((links.address, "file:")):

@@ -19,7 +19,7 @@ from studio_runs import PENDULUM_TOM, ROAD_TOM
 from app.__main__ import main
 from app.links import Links
 from app.servers import launcher
-from app.servers.launcher import Server, Studio, is_free, serving
+from app.servers.launcher import Server, is_free, serving
 from tom.machine.address import free_port
 
 START_S = 90
@@ -88,7 +88,7 @@ def scenes_of(pid: int, after: int = 0) -> int:
 
 
 def test_the_page_server_says_that_its_port_was_taken_while_it_began(tmp_path: Path) -> None:
-    server = Server(launcher.plan(Studio(store=tmp_path), str(tmp_path)))
+    server = Server(launcher.plan(Links(str(tmp_path)), str(tmp_path)))
     with socket.socket() as passer_by:
         passer_by.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         passer_by.bind(("127.0.0.1", server.links.port))
@@ -105,7 +105,7 @@ def test_a_server_that_cannot_start_is_launched_once_and_says_why(
     broken = f"open({str(launches)!r}, 'a').write('x')\nraise RuntimeError('a broken plotly')"
     (tmp_path / "plotly.py").write_text(broken)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
-    with serving(Studio(store=tmp_path), Event()) as (_, running):
+    with serving(Links(str(tmp_path)), Event()) as (_, running):
         assert running is None
     assert "a broken plotly" in capsys.readouterr().err
     assert launches.read_text() == "x"

@@ -15,7 +15,7 @@ from studio_pages import Show, draw, figures
 from studio_runs import PENDULUM_TOM, change
 
 from app.data import readers, studies
-from app.data.verdicts import every_way, verdict
+from app.data.verdicts import every_ways, verdict
 from app.links import Links
 from app.parts import jobs
 from app.servers.pages import routes
@@ -99,7 +99,7 @@ def test_all_ways_are_drawn_once_both_studies_are_there(
     shutil.copytree(GALLERY / "capacity", tmp_path / "reports" / "capacity")
     app = draw("findings")
     assert len(app.header) == 3
-    found = every_way(studies.listing(studies.FOLDER))
+    found = every_ways(studies.listing(studies.FOLDER)).get("")
     assert found is not None
     ways = [one for panel in found.panels for one in panel.ways]
     drawn = figures(app)[0]["data"]
