@@ -2,9 +2,9 @@
 
 import plotly.graph_objects as go
 
-from app.figures.curves import run_curves
+from app.figures.curves import group_curves
 from app.figures.weights import over_fits, probe_profiles, weight_profile
-from tom.analysis.curves import Curve, curve_points
+from tom.analysis.curves import Curve, curve_points, groups
 from tom.frames import Run, Weighing
 
 RETURN = "eval/return"
@@ -31,7 +31,7 @@ def figures(shown: Run | Weighing, height: int) -> Figures:
     points = curve_points(shown.metrics.reset_index(), RETURN)
     curve = Curve(shown.name, env, learner, reader.preset, reader.seed, *points)
     if len(curve.step):
-        found["return"] = run_curves([curve], RETURN, height, legend=False)
+        found["return"] = group_curves(groups([curve]), RETURN, height, singles=False)
     if len(profiles.env_step):
         found["every fit"] = over_fits([("", curve, profiles)], "light", height)
         found["the last fit"] = weight_profile(profiles.bins[-1], learner, height)

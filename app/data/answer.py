@@ -84,11 +84,6 @@ class Side:
     contrast: Contrast | None
     """that of the first run that keeps its buffer"""
 
-    @property
-    def runs(self) -> str:
-        """`5 runs`."""
-        return "1 run" if len(self.seeds) == 1 else f"{len(self.seeds)} runs"
-
 
 def newest_share(profiles: Profiles) -> Floats:
     """The share of the weight on the newest fifth of the buffer at every fit, (F,).

@@ -53,10 +53,6 @@ class Exams:
         """The step of the last examined fit; -inf if there is none."""
         return float(self.step[-1]) if len(self.step) else -np.inf
 
-    def between(self, first: float, last: float) -> "Exams":
-        """The exams of the fits from step `first` to `last`."""
-        return self.at((self.step >= first) & (self.step <= last))
-
     def at(self, which: NDArray) -> "Exams":
         """Some of the exams: a mask (F,) or indices."""
         names = ("step", *MEASURED, "returns")
@@ -143,7 +139,8 @@ def ranking(exams: Sequence[Exams], since: float = -np.inf) -> Ranking:
     standings = {}
     for name, of in groups.items():
         whole = [run for run in of if np.isinf(until) or run.last >= until]
-        standings[name] = standing(name, [run.between(since, until) for run in whole])
+        counted = [run.at((run.step >= since) & (run.step <= until)) for run in whole]
+        standings[name] = standing(name, counted)
     ranked = [standings[name] for name in reach] if len(reach) > 1 else []
     ranked.sort(key=lambda one: one.typical)
     return Ranking(tuple(standings.values()), since, until, tuple(ranked))

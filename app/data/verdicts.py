@@ -222,8 +222,9 @@ def _focus(tables: Tables) -> Verdict:
     )
     least = min(1.0, 2.0 ** (1 - max(one.n for one in signs.values())))
     against = (
-        f"On the buffer's random half the error is {median(row['random / mle'] for row in ours):.2f} "
-        f"times MLE's (median). So few recordings have no p below {least:.2g}."
+        "On the buffer's random half the error is "
+        f"{median(row['random / mle'] for row in ours):.2f} times MLE's (median). So few "
+        f"recordings have no p below {least:.2g}."
     )
     points = [
         Point(row["recording"], called[row["rival"]],
@@ -247,15 +248,13 @@ def _accepted(tables: Tables) -> Verdict:
     return Verdict(word_of([1] * met + [-1] * len(missed)), sentence, against)
 
 
-RULES: dict[str, Callable[[Tables], Verdict]] = {
-    "road": _accepted,
-    "progression": _accepted,
+ACCEPTED = "road", "progression", "tabular"
+RULES: dict[str, Callable[[Tables], Verdict]] = dict.fromkeys(ACCEPTED, _accepted) | {
     "focus": _focus,
     "footprint": _footprint,
     "capacity": _capacity,
     "improvement": _improvement,
     "returns": _returns,
-    "tabular": _accepted,
 }
 """of every study but `online`, whose profiles are of one seed each: no test, no interval"""
 

@@ -1,4 +1,4 @@
-"""Metrics against env steps or another axis: single runs, and groups with their looks and bands.
+"""Metrics against env steps or another axis: groups of runs, with their looks and bands.
 
 The lines of groups have names at their ends, in place of a legend.
 """
@@ -19,7 +19,6 @@ from app.figures.base import (
     ENV_STEPS,
     band,
     cut_bands,
-    dashes,
     decimate,
     left_out,
     line,
@@ -150,50 +149,14 @@ def short_title(metric: str) -> str:
     return SHORT_TITLES.get(metric, metric)
 
 
-def run_curves(
-    curves: Sequence[Curve],
-    metric: str,
-    height: int,
-    *,
-    legend: bool,
-    axes: Axes = PLAIN,
-    looks: Mapping[Kind, Look] | None = None,
-    called: Mapping[str, str] | None = None,
-) -> go.Figure:
-    """One line per run, coloured by learner; the runs of one learner differ in their dashes.
-
-    With `looks`, colours and dashes are those of the runs' groups instead. `called` are the runs'
-    names in the legend, by id, where learner and seed do not tell them apart. A zoom lasts while
-    the metric and the axes are the same.
-    """
-    figure, words = go.Figure(), list[str]()
-    at = "%{x:,} steps" if axes.x == ENV_STEPS else f"{text.plotly(axes.x)} %{{x:.4g}}"
-    for curve, dash in zip(curves, dashes([curve.learner for curve in curves]), strict=True):
-        learner = learner_label(curve.learner)
-        look = looks[curve.kind] if looks else None
-        step, value, cut = decimate(curve.step, curve.value, POINTS)
-        if cut:
-            words = [f"thinned to {POINTS} points a line"]
-        who = f"<b>{text.plotly(learner)}</b> seed {curve.seed}<br>{text.plotly(curve.run_id)}"
-        figure.add_trace(
-            line(
-                step,
-                value,
-                look.colour if look else learner_colour(curve.learner),
-                2,
-                f"{who}<br>{at}: %{{y:.4g}}<extra></extra>",
-                dash=look.dash if look else dash,
-                uid=_key(curve.run_id),
-                name=text.plotly((called or {}).get(curve.run_id, f"{learner} s{curve.seed}")),
-                meta=curve.run_id,
-                mode="lines+markers" if len(step) < 40 else "lines",
-                marker={"size": 5, "symbol": learner_symbol(curve.learner)},
-                showlegend=legend,
-            )
-        )
-    _draw_axes(figure, metric, height, axes, [curve.env for curve in curves])
-    words += left_out([(c.step, c.value) for c in curves], log_x=axes.log_x, log_y=axes.log_y)
-    return note(figure, words)
+def alone(curve: Curve, name: str) -> Group:
+    """A run as a group of its own, also where it goes to and fro along the x axis."""
+    step, value, cut = decimate(curve.step, curve.value, POINTS)
+    nothing, one = np.full(len(step), np.nan), np.ones(len(step), np.int64)
+    return Group(
+        curve.env, curve.learner, curve.preset, (curve,), step, value, nothing, nothing, one,
+        variant=name, thinned=cut,
+    )  # fmt: skip
 
 
 def group_curves(

@@ -122,12 +122,6 @@ def routes(links: Links) -> list[BaseRoute]:
         allowed = "sandbox; default-src 'none'; img-src data:; style-src 'unsafe-inline'"
         return FileResponse(path, headers={"Content-Security-Policy": allowed})
 
-    def health(_: Request) -> Response:
-        return JSONResponse({"store": links.store, "status": "ok", "launch": links.launch})
-
-    def library(_: Request) -> Response:
-        return FileResponse(LIBRARY, headers={"Cache-Control": KEPT, **viewers.PLAIN})
-
     def array(request: Request) -> Response:
         content = cache.array(request.path_params["name"])
         if content is None:
@@ -159,22 +153,20 @@ def routes(links: Links) -> list[BaseRoute]:
         page = request.url.path.rpartition("/")[2]
         return RedirectResponse(f".{forwarded(f'/{page}', request.url.query)}")
 
-    shell = html()
-
-    def page(_: Request) -> Response:
-        return HTMLResponse(shell, headers={"Cache-Control": "no-cache"})
-
+    health = {"store": links.store, "status": "ok", "launch": links.launch}
+    kept = {"Cache-Control": KEPT, **viewers.PLAIN}
+    shell, fresh = html(), {"Cache-Control": "no-cache"}
     return [
         Route("/v/{code}", short),
         *[Route(path, forward) for path in FORWARDED],
         Route(f"/{text.GLOSSARY_PATH}", lambda _: HTMLResponse(text.glossary())),
         Route("/reports/{study}", report),
-        Route("/api/health", health),
-        Route(f"/{LIBRARY_PATH}", library),
+        Route("/api/health", lambda _: JSONResponse(health)),
+        Route(f"/{LIBRARY_PATH}", lambda _: FileResponse(LIBRARY, headers=kept)),
         Route(f"/{cache.ARRAYS}/{{name}}", array),
         Route("/api/figure", figure, methods=["POST"]),
         *viewers.routes(links),
-        *[Route(f"/{view.PATH}", page) for view in views()],
+        *[Route(f"/{v.PATH}", lambda _: HTMLResponse(shell, headers=fresh)) for v in views()],
     ]
 
 

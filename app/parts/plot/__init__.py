@@ -91,14 +91,6 @@ def chart(
     that part of the page draw first.
     """
 
-    def on_click(told: Mapping[str, Any]) -> None:
-        if clicked is not None:
-            clicked(Point(**told))
-
-    def on_view(told: Mapping[str, Any]) -> None:
-        if viewed is not None:
-            viewed(View(*(part and tuple(part) for part in (told["x"], told["y"]))))
-
     drawn = figure if isinstance(figure, Drawn) else Drawn.of(figure)
     follows = follow and {
         "cursor": follow.cursor,
@@ -115,4 +107,8 @@ def chart(
         "caption": caption,
         "after": after,
     }
-    parts.draw("plot", _HTML, key, data, drawn.height, clicked=on_click, viewed=on_view)
+    parts.draw(
+        "plot", _HTML, key, data, drawn.height,
+        clicked=lambda told: clicked and clicked(Point(**told)),
+        viewed=lambda told: viewed and viewed(View(*(told[of] and tuple(told[of]) for of in "xy"))),
+    )  # fmt: skip

@@ -1,6 +1,7 @@
 """Curves: learners against each other over seeds, in a grid of panels, in statistics and tables."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import product
 
@@ -14,7 +15,7 @@ from app import session, text
 from app.data import readers, tables
 from app.data.cache import VersionedCache
 from app.data.called import names, task, told_apart
-from app.figures.curves import group_curves, label_ends, run_curves, short_title
+from app.figures.curves import alone, group_curves, label_ends, short_title
 from app.parts import address, shortlinks, timeline, widgets
 from app.parts.plot import Drawn, Follow, Point, View, chart
 from app.parts.scope import ALIKE, LINES, Scope
@@ -158,28 +159,25 @@ def _figure(
         except Exception as error:  # a plug-in's, which must not take the page with it
             st.exception(error)
             return None
+    looks = {scope.kinds[run.run_id]: scope.looks[scope.kinds[run.run_id]] for run in here}
+    groups = list(grouped)
     if not grouped:
         st.caption("It goes to and fro along this axis, so runs are drawn one by one.")
-    looks = {scope.kinds[run.run_id]: scope.looks[scope.kinds[run.run_id]] for run in here}
-    called = told_apart(here) if not grouped else {}
+        called = told_apart(here)
+        for curve in (curve for curve in curves if len(curve.step)):
+            groups.append(alone(curve, called[curve.run_id]))
+            looks[groups[-1].kind] = replace(looks[curve.kind], title=called[curve.run_id])
 
     def drawn() -> Drawn:
-        if not grouped:
-            return Drawn.of(
-                run_curves(
-                    curves, metric, PANEL_HEIGHT, legend=len(curves) <= 12, axes=how.axes,
-                    looks=looks, called=called,
-                )
-            )  # fmt: skip
         figure = group_curves(
-            grouped, metric, PANEL_HEIGHT, singles=how.singles, axes=how.axes, window=how.window,
+            groups, metric, PANEL_HEIGHT, singles=how.singles, axes=how.axes, window=how.window,
             looks=looks,
         )  # fmt: skip
-        if len(grouped) <= LINES:
-            label_ends(figure, grouped, looks, how.axes)
+        if len(groups) <= LINES:
+            label_ends(figure, groups, looks, how.axes)
         return Drawn.of(figure)
 
-    key = measure.held(here, scope.kinds), metric, how, *looks.items(), *called.items()
+    key = measure.held(here, scope.kinds), metric, how, *looks.items()
     return _PANELS.get(key, drawn)
 
 

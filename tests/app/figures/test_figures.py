@@ -16,7 +16,7 @@ from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 from app.data import readers, road
 from app.data.exams import Exams
 from app.figures.base import decimate, relative_scale
-from app.figures.curves import CORE, POINTS, Axes, group_curves, run_curves
+from app.figures.curves import CORE, POINTS, Axes, alone, group_curves
 from app.figures.exams import FITS, errors_by_age, focus, footprint_error_return
 from app.figures.replay import moments_figure
 from app.figures.road import road_map
@@ -68,14 +68,10 @@ def test_traces_have_names_that_are_css_classes_whatever_a_group_is_called() -> 
     group = aggregate(
         [replace(long_curve(50, seed), preset="model.hidden 8, <b>.#") for seed in (0, 1)]
     )
-    figures = [
-        group_curves([group], "x", 300, singles=True),
-        run_curves(group.curves, "x", 300, legend=True),
-    ]
-    ids = [trace.uid for figure in figures for trace in drawn(figure)]
-    assert len(ids) == 3 + len(group.curves) * 2
+    ids = [trace.uid for trace in drawn(group_curves([group], "x", 300, singles=True))]
+    assert len(ids) == 3 + len(group.curves)
     assert all(re.fullmatch("[a-z0-9]+", uid) for uid in ids)
-    assert len(set(ids[:-2])) == len(ids) - 2
+    assert len(set(ids)) == len(ids)
 
 
 def test_long_curves_and_many_fits_are_thinned_and_say_so(profiles: Profiles) -> None:
@@ -84,7 +80,6 @@ def test_long_curves_and_many_fits_are_thinned_and_say_so(profiles: Profiles) ->
     for points, fits in ((100_000, many), (100, profiles)):
         curves = [long_curve(points, seed) for seed in (0, 1)]
         for figure, limit, words in (
-            (run_curves(curves, "x", 300, legend=False), POINTS, [str(POINTS)]),
             (group_curves([aggregate(curves)], "x", 300, singles=True), 2 * GRID,
              [str(GRID), str(POINTS)]),
             (over_fits([("a", curves[0], fits)], "light", 400), POINTS,
@@ -97,16 +92,11 @@ def test_long_curves_and_many_fits_are_thinned_and_say_so(profiles: Profiles) ->
 
 def test_a_single_evaluation_is_seen_where_it_lies_in_the_run() -> None:
     one = Curve("a", "ant", "tom", "paper", 0, np.array([6000]), np.array([1.0]))
-    figure = run_curves([one], "eval/return", 300, legend=True)
+    figure = group_curves([alone(one, "a")], "eval/return", 300, singles=False)
     assert figure.to_dict()["layout"]["xaxis"]["autorangeoptions"] == {"include": 0}
-    more = run_curves([one, long_curve(9)], "eval/return", 300, legend=True)
+    both = [alone(one, "a"), alone(long_curve(9), "b")]
+    more = group_curves(both, "eval/return", 300, singles=False)
     assert "autorangeoptions" not in more.to_dict()["layout"]["xaxis"]
-
-
-def test_seeds_of_one_learner_share_its_colour_but_not_their_dash() -> None:
-    figure = run_curves([long_curve(50, s) for s in (0, 1)], "x", 300, legend=True)
-    assert len({line.line.color for line in traces(figure)}) == 1
-    assert len({line.line.dash for line in traces(figure)}) == 2
 
 
 def test_a_group_has_single_runs_a_band_and_a_mean() -> None:
@@ -133,9 +123,10 @@ def test_a_log_axis_says_what_it_leaves_out_and_keeps_bands_above_zero() -> None
     assert line.y.tolist() == pytest.approx(group.mean.tolist())
     assert band.y.min() == 2  # the smallest positive value of the line and of the band
     assert notes(figure) == ["2 of 3 values at or below zero: not on a log axis"]
-    figure = run_curves(curves, "x", 300, legend=False, axes=Axes(log_x=True, log_y=True))
+    single = [alone(curve, curve.run_id) for curve in curves]
+    figure = group_curves(single, "x", 300, singles=False, axes=Axes(log_x=True, log_y=True))
     assert notes(figure) == ["4 of 9 values at or below zero: not on a log axis"]
-    assert not notes(run_curves(curves, "x", 300, legend=False))
+    assert not notes(group_curves(single, "x", 300, singles=False))
 
 
 def test_profiles_on_a_log_axis_end_at_a_hundredth_of_uniform() -> None:
