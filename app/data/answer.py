@@ -75,7 +75,6 @@ class Side:
     name: str
     uniform: bool
     """whether its learner counts every transition the same"""
-    seeds: tuple[int, ...]
     profiles: Sequence[Profiles]
     returns: Sequence[Curve]
     exams: Sequence[Exams]

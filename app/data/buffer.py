@@ -4,7 +4,6 @@ Pure functions of rows first, then what is read from a run's folder, cached unti
 """
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -23,6 +22,7 @@ from tom.record.task_record import dimension_names, scene_of, task_of
 from tom.spread import spread
 
 if TYPE_CHECKING:  # torch takes seconds to import, and the first page does without it
+    from tom.analysis.imagine import StoredModel
     from tom.policy.stored import StoredPolicy
 
 Floats = NDArray[np.float64]
@@ -203,14 +203,25 @@ def has_model(run: RunReader) -> bool:
     return checkpoint.model_step(run.path) is not None
 
 
+@cached("model")
+def stored_model(run: RunReader) -> "StoredModel | str":
+    """The run's model, or the reason why there is none."""
+    from tom.analysis import imagine
+
+    try:
+        return imagine.stored_model(run)
+    except UserError as error:
+        return str(error)
+
+
 def model_errors_of(run: RunReader, index: NDArray[np.int64]) -> Floats:
     """The stored model's error on recorded rows, (N,) of the record: NaN for all others."""
-    from tom.analysis.imagine import step_errors, stored_model
+    from tom.analysis.imagine import step_errors
 
-    whole = recorded(run).rows
+    whole, kept = recorded(run).rows, stored_model(run)
     errors = np.full(len(whole), np.nan)
-    with suppress(UserError):  # the page says what is damaged
-        errors[index] = step_errors(stored_model(run).predictor, whole[index])
+    if not isinstance(kept, str):  # the page says what is damaged
+        errors[index] = step_errors(kept.predictor, whole[index])
     return errors
 
 
@@ -233,11 +244,10 @@ def errors_on(run: RunReader, other: RunReader) -> Floats | None:
 
     None if either cannot be read.
     """
-    from tom.analysis.imagine import step_errors, stored_model
+    from tom.analysis.imagine import step_errors
 
-    whole = recorded(run).rows
-    with suppress(UserError):
-        if len(whole):
-            part = whole[spread(len(whole), SHARED_ROWS)]
-            return step_errors(stored_model(other).predictor, part).astype(np.float64)
-    return None
+    whole, kept = recorded(run).rows, stored_model(other)
+    if isinstance(kept, str) or not len(whole):
+        return None
+    part = whole[spread(len(whole), SHARED_ROWS)]
+    return step_errors(kept.predictor, part).astype(np.float64)

@@ -18,11 +18,12 @@ from app.data.weighings import Dataset, Weighing
 from app.theme import learner_label
 from tom.analysis import planes, why
 from tom.analysis.brush import AS_IT_IS
-from tom.analysis.imagine import stored_model
+from tom.analysis.imagine import StoredModel
 from tom.dynamics.neural import NeuralDynamics
 from tom.envs import ROAD
 from tom.errors import UserError
 from tom.machine.memory import STUDIO_CACHE_BYTES
+from tom.policy.stored import StoredPolicy
 from tom.policy.stored import distances as policy_distances
 from tom.record.reader import RunReader
 from tom.reports.weighing_files import called
@@ -194,8 +195,9 @@ def dimensions(run: RunReader) -> list[Column]:
 def _of_network(run: RunReader, kind: str, key: str) -> Placed | None:
     """The principal components of the last hidden layer of the last policy or the stored model."""
     rows = buffer.recorded(run).rows.torch()
-    network = buffer.stored_policy(run) if kind == POLICY else _model(run)
-    if network is None:
+    kept = buffer.stored_policy(run) if kind == POLICY else buffer.stored_model(run)
+    network = kept.predictor if isinstance(kept, StoredModel) else kept
+    if not isinstance(network, StoredPolicy | NeuralDynamics):
         return None
 
     def hidden(part: slice | NDArray[np.int64]) -> NDArray[np.float32]:
@@ -204,14 +206,6 @@ def _of_network(run: RunReader, kind: str, key: str) -> Placed | None:
 
     plane = planes.of_layer(hidden(spread(len(rows), JUDGED)))
     return Placed.of(key, plane.names, planes.coordinates(plane, len(rows), hidden))
-
-
-def _model(run: RunReader) -> NeuralDynamics | None:
-    try:
-        model = stored_model(run).predictor
-    except UserError:
-        return None
-    return model if isinstance(model, NeuralDynamics) else None
 
 
 @cached("buffer", "model")

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from app.data import buffer
 from app.data.cache import cached
 from app.data.readers import reader
 from app.data.road import RoadShape
-from tom.analysis.imagine import Imagined, StoredModel, imagine, joint_positions, stored_model
+from tom.analysis.imagine import Imagined, imagine, joint_positions
 from tom.envs import ROAD, scene
-from tom.errors import UserError
 from tom.events import Episode
 from tom.record.reader import RunReader
 from tom.record.task_record import scene_of, seconds, task_of
@@ -96,7 +96,7 @@ def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
         return None
     known = None if run.env == ROAD else task_of(run)
     dt = ROAD_DT if known is None else seconds(run)
-    kept = _model(run)
+    kept = buffer.stored_model(run)
     imagined = None if isinstance(kept, str) else imagine(kept.predictor, episode, horizon)
     ghost = None if imagined is None or known is not None else imagined.obs
     # The joints, where the observations hold them.
@@ -119,25 +119,3 @@ def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
         no_ghost=kept if isinstance(kept, str) else "",
         road=road,
     )
-
-
-def recording(run: RunReader, step: int, index: int, horizon: int) -> bytes | None:
-    """The episode and its ghost as a Rerun recording; None if there is no such episode.
-
-    Raises UserError as `load` does.
-    """
-    from tom.record.rerun.view import episode_recording  # here: Rerun takes 0.7 s to import
-
-    replay = load(run, step, index, horizon)
-    if replay is None:
-        return None
-    return episode_recording(run, step, replay.episode, replay.dt, replay.ghost)
-
-
-@cached("model")
-def _model(run: RunReader) -> StoredModel | str:
-    """The run's model, or the reason why there is none."""
-    try:
-        return stored_model(run)
-    except UserError as error:
-        return str(error)

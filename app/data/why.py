@@ -14,7 +14,6 @@ from app.data.cache import VersionedCache, cached
 from app.data.readers import reader
 from app.data.weighings import Weighing
 from tom.analysis import why
-from tom.analysis.imagine import stored_model
 from tom.analysis.weighing import load_policy, made_anew
 from tom.analysis.why import Near, Sum
 from tom.config import OnlineConfig, TomConfig
@@ -187,8 +186,10 @@ def rollouts(run: RunReader, rows: Rows, row: int, step: int) -> Rollouts | str:
 
 @cached("model", "policies", "buffer")
 def _rollouts(run: RunReader, step: int, row: int, policy_step: int | None) -> Rollouts | str:
+    known, kept = task(run.env), buffer.stored_model(run)
+    if isinstance(kept, str):
+        return kept
     try:
-        known, kept = task(run.env), stored_model(run)
         policy = load_policy(str(run.path), Store(run.home.parent), known, policy_step)
     except UserError as error:
         return str(error)

@@ -138,8 +138,8 @@ def two_axes(panels: Sequence[Panel], height: int, keep: str) -> go.Figure:
 
 
 def _bars(of: Interval, colour: str) -> dict[str, Any]:
-    value, low, high = (np.array([x]) for x in (of.value, of.low, of.high))
-    return _reach(value, low, high) | {"color": faded(colour, 0.55), "width": 3}
+    ends = (np.array([end]) for end in (of.value, of.low, of.high))
+    return _reach(*ends) | {"color": faded(colour, 0.55), "width": 3}
 
 
 def improvement(pairs: pd.DataFrame, colours: Sequence[str], height: int, keep: str) -> go.Figure:

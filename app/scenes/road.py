@@ -255,12 +255,12 @@ def segments(lines: Sequence[NDArray] | NDArray, height: float) -> NDArray[np.fl
     return np.concatenate([flat, np.full((*flat.shape[:2], 1), height)], -1).astype(np.float32)
 
 
-def dashes(line: NDArray) -> NDArray:
-    """The dashes (K, 2, 2) of a polyline (P, 2), as long as the gaps between them."""
+def dashes(line: NDArray) -> list[NDArray]:
+    """The dashes, (2, 2) each, of a polyline (P, 2), as long as the gaps between them."""
     along = np.append(0, np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum())
     at = np.arange(0, along[-1], DASH)
     ends = np.stack([np.interp(at, along, axis) for axis in line.T], 1)
-    return ends[: len(ends) // 2 * 2].reshape(-1, 2, 2)
+    return list(ends[: len(ends) // 2 * 2].reshape(-1, 2, 2))
 
 
 def together(lines: Sequence[NDArray]) -> NDArray:

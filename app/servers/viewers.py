@@ -170,10 +170,13 @@ def found(store: str, run_id: str) -> RunReader | None:
 
 def episode(store: str, run_id: str, step: int, index: int, horizon: int) -> bytes | None:
     """A recording of one evaluation episode and its ghost; None if there is no such episode."""
-    from app.data import replays  # here: it imports torch, the simulator and Rerun
+    from app.data import replays  # here: torch, the simulator and Rerun take seconds to import
+    from tom.record.rerun.view import episode_recording
 
     with suppress(UserError):
-        return replays.recording(Store(store).run(run_id), step, index, horizon)
+        run = Store(store).run(run_id)
+        if replay := replays.load(run, step, index, horizon):
+            return episode_recording(run, step, replay.episode, replay.dt, replay.ghost)
     return None
 
 

@@ -65,8 +65,6 @@ def story(run: RunReader) -> dict[str, Any]:
     if len(profiles.env_step) < 2:
         raise UserError("a story needs two model fits at least, and this run has kept fewer")
     recorded, _, state, _ = buffer.with_states(run)
-    if run.env == ROAD:
-        raise UserError("road-and-rocks has a story of its own: the page Road and rocks plays it")
     if not len(recorded):
         raise UserError("its buffer is not there: no robots and no map of the buffer can be drawn")
     known, model = task_of(run), scene_of(run)

@@ -204,7 +204,6 @@ def _side(title: str, loops: Sequence[RunReader]) -> Side:
     return Side(
         name,
         all(map(uniform, runs)),  # grouped by a setting, learners are mixed
-        tuple(run.seed for run in runs),
         [readers.profiles(run) for run in runs],
         [widgets.curve(run, "eval/return") for run in loops],
         [

@@ -144,8 +144,7 @@ def side(returns: list[float], newest: float = 0.5, *, uniform: bool = False) ->
         Curve(str(i), "hopper", "tom", "paper", i, np.array([100]), np.array([value]))
         for i, value in enumerate(returns)
     ]
-    seeds = tuple(range(len(returns)))
-    return Side("ours", uniform, seeds, [profiles] * len(returns), curves, (), -np.inf, None)
+    return Side("ours", uniform, [profiles] * len(returns), curves, (), -np.inf, None)
 
 
 def test_five_seeds_that_all_win_help_and_four_cannot_tell():
