@@ -56,20 +56,9 @@ class Links:
         """Whether only this machine can reach the studio."""
         return self.host in LOOPBACK
 
-    @property
-    def control(self) -> str:
-        """The socket through which pages say what the 3D server shows."""
-        return str(Path(self.folder, "control"))
-
-    @property
-    def scenes(self) -> str:
-        """The socket of the 3D server, for the frames of the pages."""
-        return str(Path(self.folder, "scenes"))
-
-    @property
-    def scenes_log(self) -> Path:
-        """What the 3D servers of this launch have printed."""
-        return Path(self.folder, "scenes.log")
+    def file(self, name: str) -> Path:
+        """A file of this launch, such as the sockets of the 3D server, `control` and `scenes`."""
+        return Path(self.folder, name)
 
     @property
     def root(self) -> str:

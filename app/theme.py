@@ -126,10 +126,14 @@ def shades(colour: str) -> list[str]:
 
 def contrast(first: str, second: str) -> float:
     """The contrast of two colours, from 1 to 21 (WCAG 2)."""
-    share = np.array([rgb(first), rgb(second)]) / 255
-    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    low, high = np.sort(linear @ (0.2126, 0.7152, 0.0722))
+    low, high = np.sort(light(np.array([rgb(first), rgb(second)])) @ (0.2126, 0.7152, 0.0722))
     return float((high + 0.05) / (low + 0.05))
+
+
+def light(colours: NDArray) -> NDArray[np.float64]:
+    """sRGB colours, 0 to 255, as intensities of light, 0 to 1 (IEC 61966-2-1)."""
+    share = np.asarray(colours, np.float64) / 255
+    return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
 
 
 def faded(colour: str, alpha: float) -> str:

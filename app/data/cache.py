@@ -10,7 +10,6 @@ import hashlib
 import pickle
 from collections.abc import Callable, Hashable
 from functools import wraps
-from itertools import count
 from threading import Lock, RLock
 from typing import Any, Generic, ParamSpec, TypeVar
 from weakref import WeakValueDictionary
@@ -24,13 +23,12 @@ from tom.record.reader import OF_LOOP, Part, RunReader
 P = ParamSpec("P")
 T = TypeVar("T")
 
-RESULTS: LRUCache[tuple[int, Hashable], tuple[Hashable, Any]] = LRUCache(
+RESULTS: LRUCache[Hashable, tuple[Hashable, Any]] = LRUCache(
     # A result that is larger than the budget is kept alone.
     STUDIO_CACHE_BYTES,
     lambda result: min(bytes_of(result[1]), STUDIO_CACHE_BYTES),
 )
 LOCK = RLock()
-_NUMBERS = count()
 
 
 class VersionedCache(Generic[T]):
@@ -40,7 +38,6 @@ class VersionedCache(Generic[T]):
     """
 
     def __init__(self) -> None:
-        self._number = next(_NUMBERS)
         self._making: WeakValueDictionary[Hashable, Any] = WeakValueDictionary()
 
     def get(self, key: Hashable, make: Callable[[], T], version: Hashable = None) -> T:
@@ -48,7 +45,7 @@ class VersionedCache(Generic[T]):
 
         It is shared and must not be changed.
         """
-        place = self._number, key
+        place = self, key
         with LOCK:
             making = self._making.setdefault(key, RLock())
         with making:

@@ -152,9 +152,9 @@ def stage(choice: Choice, height: int, part: str = "", *, compact: bool = False)
         return
     client = f"{session.client()}{part}"
     try:
-        tell(links.control, client, Selection(choice, session.mode(), compact))
+        tell(str(links.file("control")), client, Selection(choice, session.mode(), compact))
     except OSError:
-        said = links.scenes_log.read_text(errors="replace").strip().rpartition("\n")[2]
+        said = links.file("scenes.log").read_text(errors="replace").strip().rpartition("\n")[2]
         st.warning(
             f"The 3D server does not answer; it is started again by itself. {text.markdown(said)}"
         )

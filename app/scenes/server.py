@@ -40,7 +40,7 @@ class SceneServer:
         self.heard: dict[str, int] = {}
         """by page, its last request that a frame has carried out"""
         self.frames: dict[int, tuple[str, Frame]] = {}
-        with on_socket(links.scenes):
+        with on_socket(links.file("scenes")):
             self.server = viser.ViserServer(verbose=False)
         self.server.scene.set_up_direction("+z")
         self.server.on_client_connect(self._connected)
@@ -125,7 +125,7 @@ def frame_class(choice: Choice) -> "type[Frame]":
 
 
 @contextmanager
-def on_socket(path: str) -> Iterator[None]:
+def on_socket(path: Path) -> Iterator[None]:
     """Websocket servers started inside the block listen on a socket that only this user can open.
 
     viser listens on a port, where it answers every page in a browser, and has no option for this.
@@ -133,9 +133,9 @@ def on_socket(path: str) -> Iterator[None]:
     serve = server.serve
 
     def serve_there(handler: Any, _host: str, _port: int, **options: Any) -> server.serve:
-        return serve(handler, unix=True, path=path, **options)
+        return serve(handler, unix=True, path=str(path), **options)
 
-    Path(path).unlink(missing_ok=True)  # left by a killed server
+    path.unlink(missing_ok=True)  # left by a killed server
     server.serve = serve_there  # pyright: ignore[reportAttributeAccessIssue]
     try:
         yield
@@ -158,7 +158,7 @@ def main() -> None:
             then = now
 
     threading.Thread(target=tick, daemon=True).start()
-    listen(links.control, served.select, served.clock)
+    listen(str(links.file("control")), served.select, served.clock)
 
 
 if __name__ == "__main__":

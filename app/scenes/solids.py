@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from trimesh import Trimesh, creation
 
 from app.figures.base import OCTAVES, octaves
-from app.theme import COLUMNS, Mode, on_scale
+from app.theme import COLUMNS, Mode, light, on_scale
 from tom.envs import scene as geometry
 
 SEGMENTS = 20
@@ -92,13 +92,6 @@ def weight_colours(weight: NDArray, mode: Mode) -> NDArray[np.uint8]:
     return on_scale(octaves(weight) / (2 * OCTAVES) + 0.5, COLUMNS[mode])
 
 
-def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """sRGB colours as light intensities, both 0 to 255 (IEC 61966-2-1)."""
-    share = np.asarray(colours, np.float64) / 255
-    light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    return (255 * light).round().astype(np.uint8)
-
-
 def copies(
     scene: viser.SceneApi,
     name: str,
@@ -115,7 +108,8 @@ def copies(
         np.asarray(mesh.faces, np.uint32),
         batched_wxyzs=np.tile([1, 0, 0, 0], (len(position), 1)) if wxyz is None else wxyz,
         batched_positions=position,
-        batched_colors=linear(colours),  # viser reads instance colours as linear intensities
+        # viser reads instance colours as linear intensities.
+        batched_colors=(255 * light(colours)).round().astype(np.uint8),
         lod="off",
         **more,
     )

@@ -12,8 +12,8 @@ import tempfile
 import time
 import webbrowser
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
 
@@ -42,27 +42,23 @@ LOG_TAIL = 12
 HEALTH, HEALTH_BYTES = "/api/health", 65536
 
 
-@dataclass
 class Server:
-    """The page server as a process, which starts the others when they are needed."""
+    """The page server, which starts the others when they are needed, as a process.
 
-    links: Links
-    command: Sequence[str] = (sys.executable, "-m", "app.servers.pages")
-    process: processes.Process | None = None
+    Its process group ends with this process.
+    """
 
-    def start(self) -> None:
-        """Start it in a new process group, which ends with this process."""
-        environment = {**os.environ, **self.links.environment(), "OMP_NUM_THREADS": "1"}
+    def __init__(
+        self, links: Links, command: Sequence[str] = (sys.executable, "-m", "app.servers.pages")
+    ) -> None:
+        self.links, self.log = links, links.file("log")
+        environment = {**os.environ, **links.environment(), "OMP_NUM_THREADS": "1"} | RETURNING
         with self.log.open("wb") as log:
-            self.process = processes.start(self.command, log, environment | RETURNING)
-
-    @property
-    def log(self) -> Path:
-        return Path(self.links.folder, "log")
+            self.process = processes.start(command, log, environment)
 
     @property
     def running(self) -> bool:
-        return self.process is not None and self.process.poll() is None
+        return self.process.poll() is None
 
     @property
     def port_was_taken(self) -> bool:
@@ -92,13 +88,11 @@ class Server:
 
     def tail(self) -> str:
         """The last lines of its output."""
-        lines = self.log.read_text(errors="replace").splitlines() if self.log.exists() else []
+        lines = self.log.read_text(errors="replace").splitlines()
         return "\n".join(map(terminal, lines[-LOG_TAIL:]))
 
     def stop(self) -> None:
         """End it with all its children: SIGTERM, and after a grace period SIGKILL."""
-        if self.process is None:
-            return
         for number in (signal.SIGTERM, signal.SIGKILL):
             with suppress(ProcessLookupError):  # the whole group has ended
                 os.killpg(self.process.pid, number)
@@ -141,25 +135,20 @@ def serving(asked: Links, stopping: Event) -> Iterator[tuple[Links, Server | Non
 
     Raises UserError if it cannot listen where it should.
     """
-    with tempfile.TemporaryDirectory(prefix="tom-studio-") as folder:
-        links = plan(asked, folder)
-        if not links.local_only:
+    with tempfile.TemporaryDirectory(prefix="tom-studio-") as folder, ExitStack() as started:
+        for _ in range(ATTEMPTS):
+            links = plan(asked, folder)
+            server = Server(links)
+            started.callback(server.stop)
+            up = server.wait_until_healthy(START_TIMEOUT_S, stopping.is_set)
+            # Another program may take the port, if only for a moment, after it was found free.
+            if up or stopping.is_set() or not server.port_was_taken:
+                break
+        if up and not links.local_only:
             print(OPEN, file=sys.stderr)
-        server, up = Server(links), False
-        try:
-            for _ in range(ATTEMPTS):
-                server.start()
-                up = server.wait_until_healthy(START_TIMEOUT_S, stopping.is_set)
-                if up or stopping.is_set() or not server.port_was_taken:
-                    break
-                # Another program took it, if only for a moment, after it was found free.
-                links = plan(asked, folder)
-                server = Server(links)
-            if not up and not stopping.is_set():
-                print(f"tom studio: it did not start:\n{server.tail()}", file=sys.stderr)
-            yield links, server if up else None
-        finally:
-            server.stop()
+        if not up and not stopping.is_set():
+            print(f"tom studio: it did not start:\n{server.tail()}", file=sys.stderr)
+        yield links, server if up else None
 
 
 def plan(asked: Links, folder: str) -> Links:
@@ -205,6 +194,6 @@ def is_free(host: str, port: int) -> bool:
 
 def _leading_to(links: Links) -> Path:
     """A file that redirects to the studio, because all users can see a browser's arguments."""
-    path = Path(links.folder, "studio.html")
+    path = links.file("studio.html")
     path.write_text(f'<!doctype html><script>location.replace("{links.opened()}")</script>')
     return path

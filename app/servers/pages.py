@@ -225,7 +225,7 @@ def warm(links: Links) -> None:
 def keep_scenes(links: Links) -> None:
     """Run the 3D server, and again where it ended; the pages go on without it."""
     while True:
-        with links.scenes_log.open("ab") as log:
+        with links.file("scenes.log").open("ab") as log:
             processes.start([sys.executable, "-m", "app.scenes.server"], log, session=False).wait()
         time.sleep(RESTART_S)
 

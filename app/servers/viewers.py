@@ -70,11 +70,11 @@ def routes(links: Links) -> list[BaseRoute]:
         address = f"ws://scenes/{frame.path_params['client']}"
         offered = frame.scope["subprotocols"] or None
         until = time.monotonic() + START_S
-        while not Path(links.scenes).exists() and time.monotonic() < until:
+        while not links.file("scenes").exists() and time.monotonic() < until:
             await asyncio.sleep(0.05)
         try:
             async with unix_connect(
-                links.scenes,
+                str(links.file("scenes")),
                 address,
                 subprotocols=offered,
                 compression=None,
@@ -88,7 +88,7 @@ def routes(links: Links) -> list[BaseRoute]:
 
     return [
         Route("/rrd/{run}/{name}", recording),
-        Mount("/rerun", Viewer(Path(links.folder, "rerun"))),
+        Mount("/rerun", Viewer(links.file("rerun"))),
         Route("/viser/{client}/", scene_page),
         WebSocketRoute("/viser/{client}", scene),
     ]

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from app.figures.curves import Look, looks_of
-from app.scenes.solids import linear
 from app.theme import (
     BACKGROUND,
     COLUMNS,
@@ -28,6 +27,7 @@ from app.theme import (
     ramp,
     rgb,
 )
+from app.theme import light as intensity
 from tom.analysis.settings import Kind
 from tom.envs import ROAD
 from tom.learners import LEARNERS
@@ -177,7 +177,8 @@ def test_a_scale_is_linear_between_its_stops() -> None:
 
 
 def test_linear_light_of_srgb() -> None:
-    assert linear(np.array([0, 128, 255], np.uint8)).tolist() == [0, 55, 255]
+    shown = 255 * intensity(np.array([0, 128, 255], np.uint8))
+    assert shown.round().tolist() == [0, 55, 255]
 
 
 @pytest.mark.parametrize("mode", ["light", "dark"])

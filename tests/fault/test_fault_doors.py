@@ -125,7 +125,7 @@ def test_streamlits_cloud__may_send_no_message_to_a_page_that_it_opened(studio: 
 def test_another_user_of_this_machine__cannot_open_the_socket_between_page_and_3d_server(
     studio: Links,
 ):
-    folder = Path(studio.control).parent
+    folder = Path(studio.folder)
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     kept = [path for path in folder.iterdir() if path.is_file()]
     assert not [path for path in kept if studio.key in path.read_text(errors="replace")]

@@ -260,6 +260,6 @@ def _clock() -> Clock | None:
     if not links.folder:
         return None
     try:
-        return clock(links.control, f"{session.client()}{PART}")
+        return clock(str(links.file("control")), f"{session.client()}{PART}")
     except OSError:
         return None

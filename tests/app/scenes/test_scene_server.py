@@ -45,7 +45,7 @@ def served(store: Path, tmp_path: Path) -> Iterator[SceneServer]:
 def frame_of_a_page(served: SceneServer) -> ClientConnection:
     """A browser frame, as viser's own client opens it: it says where its camera stands."""
     opened = unix_connect(
-        served.links.scenes,
+        str(served.links.file("scenes")),
         f"ws://scenes/{PAGE}",
         subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
         max_size=None,

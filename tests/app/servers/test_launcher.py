@@ -88,12 +88,12 @@ def scenes_of(pid: int, after: int = 0) -> int:
 
 
 def test_the_page_server_says_that_its_port_was_taken_while_it_began(tmp_path: Path) -> None:
-    server = Server(launcher.plan(Links(str(tmp_path)), str(tmp_path)))
+    links = launcher.plan(Links(str(tmp_path)), str(tmp_path))
     with socket.socket() as passer_by:
         passer_by.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        passer_by.bind(("127.0.0.1", server.links.port))
+        passer_by.bind(("127.0.0.1", links.port))
         passer_by.listen()
-        server.start()
+        server = Server(links)
         assert not server.wait_until_healthy(START_S, lambda: False)
         assert server.port_was_taken
 
@@ -118,9 +118,7 @@ def test_a_stubborn_server_ends_with_its_own_children(
     stubborn = Server(
         Links(port=1, folder=str(tmp_path), key="k"), [sys.executable, "-c", STUBBORN]
     )
-    stubborn.start()
     wait_for(lambda: "up" in stubborn.tail())
-    assert stubborn.process is not None
     group = stubborn.process.pid
     stubborn.stop()
     deadline = time.monotonic() + 10

@@ -48,7 +48,7 @@ def weighed(store: Path, results: Path, tmp_path: Path, show: Show) -> Path:
 def test_a_weighing_is_found_by_its_run(weighed: Path) -> None:
     run = info(weighed.parents[1], PENDULUM_TOM)
     (found,) = weighings.of_run(run, ROWS)
-    assert (found.name, found.policy, found.missing(ROWS)) == ("made", PENDULUM_TOM, "")
+    assert (found.name, found.report["policy"], found.missing(ROWS)) == ("made", PENDULUM_TOM, "")
     assert "tom.q_steps 30" in found.settings
     assert weighings.of_run(info(weighed.parents[1], "pendulum-mle-0"), ROWS) == []
     assert weighings.of_run(run, ROWS - 1) == []
