@@ -182,16 +182,11 @@ def _choose_episode(point: Point) -> None:
 
 
 def _follow(replay: Replay) -> bool:
-    """Follow the scene, which plays or has controls of its own; returns whether it plays.
-
-    A scene that has not yet heard the page's last request is not followed.
-    """
-    now = _clock()
-    if now is None or FRAME not in st.session_state:
-        return False
-    if now.asked == st.session_state.get(ASKED, NOTHING)[0]:
-        st.session_state[FRAME] = min(now.frame, replay.episode.length)
-    return now.playing
+    """Follow the scene, which plays or has controls of its own; returns whether it plays."""
+    frame, playing = position()
+    if FRAME in st.session_state:
+        st.session_state[FRAME] = min(frame, replay.episode.length)
+    return playing
 
 
 def position() -> tuple[int, bool]:
