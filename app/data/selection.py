@@ -38,9 +38,6 @@ class Selection:
     intervals: Mapping[str, Interval] = field(default_factory=dict)
     outline: Outline | None = None
 
-    def __bool__(self) -> bool:
-        return bool(self.intervals) or self.outline is not None
-
     @classmethod
     def of(cls, where: Sequence[str], outline: Sequence[str]) -> Self:
         """From the words of an address; those that are malformed count as not there."""

@@ -194,17 +194,24 @@ def group_curves(
             around = band(*ends, look.core or look.colour, key)
             figure.add_trace(around.update(uid=f"{key}band", name="band"))
         figure.add_traces(_middle(smooth, look, key))
-    _draw_axes(figure, metric, height, axes, [group.env for group in groups])
+    x = steps_in_words(group.env for group in groups)
+    x = x if axes.x == ENV_STEPS else text.plotly(axes.x)
+    x_axis: dict[str, Any] = {"type": "log" if axes.log_x else "linear"}
+    lines: list[Any] = list(figure.data)
+    if len({float(x) for trace in lines for x in trace.x[:2]}) == 1 and not axes.log_x:
+        # With a single point Plotly would show a tiny range around it: start the axis at zero.
+        x_axis |= {"rangemode": "tozero", "autorangeoptions": {"include": 0}}
+    # One label for all lines at a step, the highest first; `meta` is for a saved figure and table.
+    styled(
+        figure, x, height, keep=f"{metric} {axes}", x_axis=x_axis,
+        y_axis={"type": "log" if axes.log_y else "linear"}, hovermode="x unified",
+        hoversort="value descending", meta={"y": short_title(metric), "groups": named},
+    )  # fmt: skip
     words = [f"smoothed: mean of {window} points of the line"] if window > 1 else []
     if any(group.thinned for group in groups):
         words.append(f"thinned to {GRID} points a line")
     if singles and any(len(c.step) > POINTS for g in groups if g.n > 1 for c in g.curves):
         words.append(f"single runs thinned to {POINTS} points each")
-    # One label for all lines at a step, the highest first.
-    figure.update_layout(
-        hovermode="x unified", hoversort="value descending",
-        meta={"y": short_title(metric), "groups": named},  # for a saved table
-    )  # fmt: skip
     cut_bands(figure, log_x=axes.log_x, log_y=axes.log_y)
     words += left_out(drawn, log_x=axes.log_x, log_y=axes.log_y)
     return note(figure, words)
@@ -224,20 +231,6 @@ def return_line(curve: Curve, **more: Any) -> tuple[go.Scatter, list[str]]:
     more = {"name": "return", "meta": curve.run_id, "mode": mode, "showlegend": False} | more
     drawn = line(step, value, learner_colour(curve.learner), 2, hover, **marked, **more)
     return drawn, [f"returns thinned to {POINTS} points a line"] if cut else []
-
-
-def _draw_axes(
-    figure: go.Figure, metric: str, height: int, axes: Axes, envs: Sequence[str]
-) -> None:
-    x = steps_in_words(envs) if axes.x == ENV_STEPS else text.plotly(axes.x)
-    lines: list[Any] = list(figure.data)
-    x_axis: dict[str, Any] = {"type": "log" if axes.log_x else "linear"}
-    if len({float(x) for trace in lines for x in trace.x[:2]}) == 1 and not axes.log_x:
-        # With a single point Plotly would show a tiny range around it: start the axis at zero.
-        x_axis |= {"rangemode": "tozero", "autorangeoptions": {"include": 0}}
-    y_axis = {"type": "log" if axes.log_y else "linear"}
-    styled(figure, x, height, keep=f"{metric} {axes}", x_axis=x_axis, y_axis=y_axis)
-    figure.update_layout(meta={"y": short_title(metric)})  # for a saved figure: pages have titles
 
 
 def _single(curve: Curve, look: Look, key: str) -> go.Scatter:

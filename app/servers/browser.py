@@ -98,26 +98,16 @@ def settled_picture(page: "Page", *, whole: bool = True) -> bytes:
     deadline = time.monotonic() + SETTLE_S
     before, now = b"", page.screenshot()
     while (before != now or not page.evaluate(DRAWN)) and time.monotonic() < deadline:
-        if whole:
-            _grow(page)
-        _close_notes(page)
+        if whole:  # the window as high as the page, which scrolls inside a frame
+            height = page.evaluate("document.querySelector('[data-testid=stMain]').scrollHeight")
+            width = (page.viewport_size or ANIMATED)["width"]
+            page.set_viewport_size({"width": width, "height": max(int(height), 600)})
+        for frame in page.frames:  # viser's note on software rendering, only in a headless browser
+            for button in frame.locator(".mantine-Notification-closeButton").all():
+                button.dispatch_event("click")
         page.wait_for_timeout(2500)
         before, now = now, page.screenshot()
     return now
-
-
-def _close_notes(page: "Page") -> None:
-    """Close viser's note on software rendering, which appears only in a headless browser."""
-    for frame in page.frames:
-        for button in frame.locator(".mantine-Notification-closeButton").all():
-            button.dispatch_event("click")
-
-
-def _grow(page: "Page") -> None:
-    """Make the window as high as the page, which scrolls inside a frame."""
-    height = page.evaluate("document.querySelector('[data-testid=stMain]').scrollHeight")
-    size = page.viewport_size or {"width": 1280, "height": 900}
-    page.set_viewport_size({"width": size["width"], "height": max(int(height), 600)})
 
 
 def stories(store: Path) -> list[tuple[str, str, list[int]]]:

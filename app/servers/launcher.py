@@ -121,7 +121,10 @@ def run(asked: Links, *, browser: bool) -> int:
             print(f"            over SSH: ssh {tunnel} THIS-MACHINE", flush=True)
         display = sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & {*os.environ}
         if browser and display:
-            webbrowser.open(_leading_to(links).as_uri())
+            # A file that redirects to it, because all users can see a browser's arguments.
+            page = links.file("studio.html")
+            page.write_text(f'<!doctype html><script>location.replace("{links.opened()}")</script>')
+            webbrowser.open(page.as_uri())
         while not stopping.wait(0.5):
             if not server.running:
                 print(f"tom studio: the page server ended:\n{server.tail()}", file=sys.stderr)
@@ -190,10 +193,3 @@ def is_free(host: str, port: int) -> bool:
                 return False
             raise
         return True
-
-
-def _leading_to(links: Links) -> Path:
-    """A file that redirects to the studio, because all users can see a browser's arguments."""
-    path = links.file("studio.html")
-    path.write_text(f'<!doctype html><script>location.replace("{links.opened()}")</script>')
-    return path

@@ -124,7 +124,9 @@ def _play(
     """The episode and its charts, which follow the clock of the scene during playback."""
     if st.session_state.pop(CHOSEN, False) or position()[1] != moves:
         st.rerun()  # the choice of a click here is read above, and so is whether to follow
-    playing = _follow(replay)
+    at, playing = position()  # the scene plays, or has controls of its own
+    if FRAME in st.session_state:
+        st.session_state[FRAME] = min(at, replay.episode.length)
     frame = _marked(replay, playing=playing)
     left, right = st.columns([3, 2])
     with left:
@@ -179,14 +181,6 @@ def _choose_episode(point: Point) -> None:
     st.session_state["episode"] = point.meta[point.index] if point.meta else 1
     go_to(0)
     st.session_state[CHOSEN] = True
-
-
-def _follow(replay: Replay) -> bool:
-    """Follow the scene, which plays or has controls of its own; returns whether it plays."""
-    frame, playing = position()
-    if FRAME in st.session_state:
-        st.session_state[FRAME] = min(frame, replay.episode.length)
-    return playing
 
 
 def position() -> tuple[int, bool]:
