@@ -14,7 +14,6 @@ from torch import Tensor
 from tom.config import RoadConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import uniform_indices
-from tom.dynamics.linear import LinearModel
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick
 from tom.exams.diagnostics import errors_of_rows
 from tom.learners import follows_value, make_learner
@@ -161,14 +160,14 @@ class Offline:
     def errors_without_weights(self) -> Tensor:
         """Errors (N,) of the model before any weights: the data is weighed but once."""
         rows = self.data.rows
-        return errors_of_rows(RoadModel(fit_linear(rows, uniform(rows, ready=True))), rows)
+        return errors_of_rows(fit_linear(rows, uniform(rows, ready=True)), rows)
 
     def roll_out_model(self) -> dict[str, float]:
         """Rollouts of the policy in the model from weighted states of the data."""
         config, generator = self.config.rollout, self.streams.torch("rollout")
         weights = self.weighting.for_starts(config)
         return roll_out(
-            RoadModel(self.model),
+            self.model,
             self.policy,
             task.at_goal,
             start_states(self.data.rows, weights, config.starts, generator),
@@ -249,7 +248,7 @@ class Offline:
             ready=state["ready"],
             clipped=state["clipped"],
         )
-        self.model = LinearModel(state["coefficients"])
+        self.model = RoadModel(state["coefficients"])
         self._sac_metrics = state["sac_metrics"]
 
 

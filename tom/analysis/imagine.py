@@ -10,7 +10,6 @@ from tom.config import ModelConfig
 from tom.data.transitions import Transitions
 from tom.dynamics import make_model
 from tom.dynamics.base import Predictor
-from tom.dynamics.linear import LinearModel
 from tom.envs import ROAD, Task
 from tom.errors import UserError, reason
 from tom.events import Episode
@@ -55,7 +54,7 @@ def stored_model(run: RunReader) -> StoredModel:
     try:
         state = held.state["training"]
         if run.env == ROAD:
-            return StoredModel(held.env_step, RoadModel(LinearModel(state["coefficients"])))
+            return StoredModel(held.env_step, RoadModel(state["coefficients"]))
         known = task_of(run)
         # Only the model's settings: other groups may differ in another version.
         config = ModelConfig.model_validate(run.config["config"]["model"])

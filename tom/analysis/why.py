@@ -12,9 +12,10 @@ from torch import Tensor
 from tom.config import RolloutConfig, TomConfig
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
+from tom.dynamics.base import Sampled
+from tom.envs import Termination
 from tom.learners.base import Policy, mixed_with_uniform
 from tom.learners.terms import Terms, divergence
-from tom.policy.rollout import RolloutModel, Termination
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ def expected_starts(weights: Tensor, row: int, config: RolloutConfig) -> float:
 
 @torch.no_grad()
 def rollouts(
-    model: RolloutModel,
+    model: Sampled,
     policy: Policy,
     terminated: Termination,
     start: Tensor,

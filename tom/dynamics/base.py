@@ -23,7 +23,17 @@ class Predictor(Protocol):
         ...
 
 
-class DynamicsModel(Predictor, Protocol):
+class Sampled(Protocol):
+    """A dynamics model as far as a rollout needs it."""
+
+    def sample(
+        self, obs: Tensor, action: Tensor, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Draw (reward (B,), next_obs (B, O)) for obs (B, O) and action (B, A)."""
+        ...
+
+
+class DynamicsModel(Predictor, Sampled, Protocol):
     """p(reward, next_obs | obs, action), fitted by weighted maximum likelihood."""
 
     def fit(
@@ -34,12 +44,6 @@ class DynamicsModel(Predictor, Protocol):
         generator: torch.Generator,
     ) -> FitReport:
         """Fit to N transitions with weights (N,), mean 1, and per-dimension weights (N, O)."""
-        ...
-
-    def sample(
-        self, obs: Tensor, action: Tensor, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor]:
-        """Draw (reward (B,), next_obs (B, O)) for obs (B, O) and action (B, A)."""
         ...
 
     def nll(self, rows: TensorTransitions) -> Tensor | None:

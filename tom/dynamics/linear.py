@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import log, pi
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import Tensor
@@ -43,7 +43,7 @@ class LinearModel:
     coefficients: Tensor
 
     @classmethod
-    def fit(cls, transitions: Transitions, weights: Tensor) -> "LinearModel":
+    def fit(cls, transitions: Transitions, weights: Tensor) -> Self:
         """The weighted least squares fit; `weights` is (N,), or (N, O) for each dimension."""
         data = transitions.torch()
         inputs = affine_inputs(data.obs, data.action)

@@ -1,7 +1,5 @@
 """Rollouts of the policy in the learnt model, and SAC's minibatches of them and real rows."""
 
-from typing import Protocol
-
 import torch
 from torch import Tensor
 
@@ -9,22 +7,13 @@ from tom.config import RolloutConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import WeightedSampler, uniform_indices
 from tom.data.transitions import TensorTransitions
+from tom.dynamics.base import Sampled
 from tom.envs.task import Termination
 from tom.learners.base import Policy
 from tom.nn.mlp import rows_at_once
 
 EXPLODED = 100.0
 """a modelled state has exploded if it is this many times larger than the largest start state"""
-
-
-class RolloutModel(Protocol):
-    """A dynamics model as far as a rollout needs it."""
-
-    def sample(
-        self, obs: Tensor, action: Tensor, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor]:
-        """Draw (reward (B,), next_obs (B, O)) for obs (B, O) and action (B, A)."""
-        ...
 
 
 def start_states(
@@ -38,7 +27,7 @@ def start_states(
 
 @torch.no_grad()
 def roll_out(
-    model: RolloutModel,
+    model: Sampled,
     policy: Policy,
     terminated: Termination,
     starts: Tensor,
