@@ -83,6 +83,4 @@ def is_known(name: str) -> bool:
     return name in ENV_NAMES or name in OTHERS or ":" in name
 
 
-@cache
-def _of_gymnasium(name: str) -> GymnasiumTask:
-    return describe(name)
+_of_gymnasium = cache(describe)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import chain
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -24,9 +24,6 @@ from tom.envs.mujoco import log_warnings
 from tom.envs.task import Task, Termination
 from tom.envs.user_code import import_named
 from tom.errors import OF_USERS, UserError, reason
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 OWN = "gymnasium"
 """the module of Gymnasium's own tasks, which is always imported"""
@@ -92,19 +89,6 @@ class GymnasiumTask(Task):
     @property
     def obs_units(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return np.array(self.obs_offset), np.array(self.obs_scale)
-
-    def own_obs(self, obs: NDArray) -> NDArray[np.float64]:
-        offset, scale = self.obs_units
-        return np.asarray(obs, np.float64) * scale + offset
-
-    def unit_obs(self, obs: NDArray) -> NDArray[np.float32]:
-        offset, scale = self.obs_units
-        return ((np.asarray(obs, np.float64) - offset) / scale).astype(np.float32)
-
-    def own_units(self, obs: "Tensor") -> "Tensor":
-        import torch
-
-        return obs * torch.tensor(self.obs_scale).to(obs) + torch.tensor(self.obs_offset).to(obs)
 
 
 def describe(name: str) -> GymnasiumTask:

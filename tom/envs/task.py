@@ -58,17 +58,15 @@ class Task:
         """Offset and scale (O,) of an observation in the task's own units."""
         return np.zeros(self.obs_dim), np.ones(self.obs_dim)
 
-    def own_obs(self, obs: NDArray) -> NDArray:
+    def own_obs(self, obs: NDArray) -> NDArray[np.float64]:
         """Observations (..., O) as agents see them, in the task's own units."""
-        return np.asarray(obs)
-
-    def own_units(self, obs: "Tensor") -> "Tensor":
-        """The same for a tensor."""
-        return obs
+        offset, scale = self.obs_units
+        return np.asarray(obs, np.float64) * scale + offset
 
     def unit_obs(self, obs: NDArray) -> NDArray[np.float32]:
         """Observations (..., O) in the task's own units, rescaled as agents see them."""
-        return np.asarray(obs, np.float32)
+        offset, scale = self.obs_units
+        return ((np.asarray(obs, np.float64) - offset) / scale).astype(np.float32)
 
     def qpos_from_obs(self, obs: np.ndarray) -> np.ndarray:
         """Joint positions (..., nq) of observations (..., O), with the root at the origin."""

@@ -108,9 +108,11 @@ def checked(given: Termination, known: Task, name: str) -> Termination:
     """
     import torch
 
+    offset, scale = (torch.tensor(x, dtype=torch.float32) for x in known.obs_units)
+
     def terminated(next_obs: Tensor) -> Tensor:
         with running(f"termination {name} for next observations {tuple(next_obs.shape)}"):
-            answer = given(known.own_units(next_obs))
+            answer = given(next_obs * scale.to(next_obs) + offset.to(next_obs))
         if (
             not isinstance(answer, torch.Tensor)
             or answer.shape != next_obs.shape[:-1]
