@@ -1,6 +1,8 @@
-"""Numbers as people read them, on pages, in reports and in terminals."""
+"""Numbers as people read them, on pages, in reports and in terminals, and as they give them."""
 
 import math
+from argparse import ArgumentTypeError
+from collections.abc import Callable
 from typing import TypeGuard
 
 UNKNOWN = "-"
@@ -55,6 +57,18 @@ def cell(value: object) -> str:
     if value is None:
         return UNKNOWN
     return short(value, 4) if isinstance(value, float) else str(value)
+
+
+def whole(least: int, most: float = math.inf) -> Callable[[str], int]:
+    """The type of an option: a whole number from `least` to `most`."""
+
+    def parse(text: str) -> int:
+        if text.isdecimal() and least <= int(text) <= most:
+            return int(text)
+        bounds = f"{least} or more" if most == math.inf else f"{least} to {most}"
+        raise ArgumentTypeError(f"'{text}' must be a whole number, {bounds}")
+
+    return parse
 
 
 def _known(value: float | None) -> TypeGuard[float]:

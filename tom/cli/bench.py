@@ -17,11 +17,12 @@ import torch
 from tom import readable
 from tom.cli import hand_over
 from tom.cli.output import show_rows
-from tom.cli.parser import add_json, whole
+from tom.cli.parser import add_json
 from tom.cli.runs import list_runs
 from tom.errors import UserError, reason
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
+from tom.readable import whole
 from tom.record.files import replace
 
 BEGIN, END = "<!-- bench -->", "<!-- /bench -->"

@@ -16,11 +16,12 @@ from tom.analysis import brush
 from tom.analysis.brush import FACTORS, SMALL, BrushedFit
 from tom.analysis.ordered_data import find_run, of_run
 from tom.analysis.weighing import load_policy, made_anew
-from tom.cli.parser import add_json, add_store, one_line, whole
+from tom.cli.parser import add_json, add_store, one_line
 from tom.data.unpack import DAMAGE
 from tom.envs import scene, task
 from tom.errors import UserError, reason
 from tom.machine.matmul import choose_matmul
+from tom.readable import whole
 from tom.record import RunReader, Store, layout
 from tom.record.decode import read_table
 from tom.record.reader import at_or_before

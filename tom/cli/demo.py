@@ -6,9 +6,10 @@ import sys
 
 from tom import readable
 from tom.cli.output import show
-from tom.cli.parser import add_store, whole
+from tom.cli.parser import add_store
 from tom.envs import ROAD
 from tom.machine.processes import on_stopping, start, stop
+from tom.readable import whole
 from tom.record import Store
 from tom.sweep.engine import train_all
 

@@ -1,9 +1,8 @@
 """Options that commands share: those of every command, of a training, and of a configuration."""
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import takewhile
-from math import inf
 from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin
@@ -25,18 +24,6 @@ def folder(text: str) -> Path:
             "tom runs fetch s3://BUCKET/PREFIX --store runs"
         )
     return Path(text)
-
-
-def whole(least: int, most: float = inf) -> Callable[[str], int]:
-    """The type of a whole number from `least` to `most`, for argparse."""
-
-    def parse(text: str) -> int:
-        if text.isdecimal() and least <= int(text) <= most:
-            return int(text)
-        bounds = f"{least} or more" if most == inf else f"{least} to {most}"
-        raise argparse.ArgumentTypeError(f"'{text}' must be a whole number, {bounds}")
-
-    return parse
 
 
 def add_store(parser: argparse._ActionsContainer) -> None:
@@ -84,19 +71,15 @@ def add_training_options(
         "--model", dest=DEST + "model.kind", metavar="KIND", help="short for --model.kind"
     )
     if env != ROAD:
-        add_termination(parser)
+        parser.add_argument(
+            "--termination",
+            dest=DEST + TERMINATION,
+            metavar="module:function",
+            help="what ends an episode in the model: next observations (B, O) in the task's units "
+            "-> bool (B,); or never; or learnt, by a head of the model (short for "
+            "--model.termination)",
+        )
     add_config_options(parser, config_type(env, *LEARNERS), leave_out)
-
-
-def add_termination(parser: argparse._ActionsContainer) -> None:
-    """Add `--termination`, a short form of the setting `model.termination`."""
-    parser.add_argument(
-        "--termination",
-        dest=DEST + TERMINATION,
-        metavar="module:function",
-        help="what ends an episode in the model: next observations (B, O) in the task's units -> "
-        "bool (B,); or never; or learnt, by a head of the model (short for --model.termination)",
-    )
 
 
 def named(arguments: list[str], option: str) -> set[str]:

@@ -20,11 +20,12 @@ from matplotlib import rc_context
 from pydantic import ValidationError
 
 from tom.cli.output import fitting, show_rows
-from tom.cli.parser import add_json, folder, one_line, whole
+from tom.cli.parser import add_json, folder, one_line
 from tom.cli.train import followed
 from tom.config import SacRecordingConfig
 from tom.errors import DivergedError
 from tom.machine.processes import on_stopping
+from tom.readable import whole
 from tom.record import RunReader, Store
 from tom.record.files import plain
 from tom.reports.figures import STYLE, save

@@ -18,7 +18,7 @@ from rich.text import Text
 
 from tom import readable
 from tom.cli.output import Display, print_problems, show_rows, summary
-from tom.cli.parser import add_accept_versions, add_json, add_training_options, overrides, whole
+from tom.cli.parser import add_accept_versions, add_json, add_training_options, overrides
 from tom.config import merged
 from tom.envs import ANY, ENV_NAMES, bring
 from tom.envs.termination import bring_rule
@@ -26,6 +26,7 @@ from tom.errors import GoneError, UserError
 from tom.harmless import terminal
 from tom.learners import LEARNERS
 from tom.machine.processes import on_stopping
+from tom.readable import whole
 from tom.record import RunReader, Store, checkpoint
 from tom.record.thin import without_options
 from tom.sweep.bucket import open_backend

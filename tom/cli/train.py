@@ -12,7 +12,7 @@ from typing import Any, TextIO
 from pydantic import ValidationError
 
 from tom.cli.output import ProgressReport, summary
-from tom.cli.parser import add_run_options, add_training_options, named, one_line, overrides, whole
+from tom.cli.parser import add_run_options, add_training_options, named, one_line, overrides
 from tom.cli.sweep import drive
 from tom.data.card import sentence
 from tom.envs import ANY, ENV_NAMES
@@ -28,7 +28,7 @@ from tom.harmless import terminal
 from tom.learners import LEARNERS
 from tom.machine.memory import REFUSING, out_of_memory, ran_out
 from tom.machine.processes import on_stopping
-from tom.readable import score
+from tom.readable import score, whole
 from tom.record import RunReader, Store, checkpoint, lock, manage
 from tom.record.files import size_of
 from tom.record.task_record import card_of

@@ -21,13 +21,13 @@ from tom.cli.parser import (
     leaf_fields,
     one_line,
     overrides,
-    whole,
 )
 from tom.data.card import sentence
 from tom.data.datasets import FORMATS
 from tom.envs import ANY, ENVS
 from tom.learners import LEARNERS, WEIGHED_FIRST
 from tom.machine.matmul import choose_matmul
+from tom.readable import whole
 from tom.record import Store
 from tom.record.files import plain
 from tom.reports import weighing_files

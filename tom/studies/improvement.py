@@ -42,6 +42,7 @@ from tom.policy.collect import Evaluator
 from tom.policy.rollout import mixed_batches, roll_out, start_states
 from tom.policy.sac import Sac
 from tom.policy.stored import CRITIC, StoredPolicy, resumed_sac
+from tom.readable import whole
 from tom.record import RunReader, layout
 from tom.reports.figures import learner_colour, strips
 from tom.rng import Streams
@@ -68,7 +69,7 @@ from tom.studies.moments import (
     told,
     trial_of,
 )
-from tom.studies.study import Findings, Row, check_known, compute, whole
+from tom.studies.study import Findings, Row, check_known, compute
 
 TITLE = "What weighting does for the policy"
 CLAIM = (

@@ -20,6 +20,7 @@ from tom.analysis.statistics import Interval, interval, mean
 from tom.envs import ENVS, ROAD, task, task_rank
 from tom.errors import UserError, reason
 from tom.exams import informative
+from tom.readable import whole
 from tom.record import RunReader, Store
 from tom.reports.report import WORDS
 from tom.reports.report import seeds as in_short
@@ -32,7 +33,6 @@ from tom.studies.study import (
     check_known,
     compute,
     tasks,
-    whole,
 )
 
 if TYPE_CHECKING:  # the studio reads outcomes without loading matplotlib

@@ -16,7 +16,7 @@ import os
 import pickle
 import signal
 import sys
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
@@ -39,6 +39,7 @@ from tom.envs.user_code import users_code
 from tom.errors import UserError, unknown
 from tom.machine.matmul import choose_matmul
 from tom.machine.processes import end_with_parent
+from tom.readable import whole
 from tom.record import RunReader, Store
 from tom.record.files import replace
 from tom.record.versions import versions
@@ -73,17 +74,6 @@ def check(name: str, value: float, sign: str, bound: float) -> Row:
     """A number of the acceptance; NaN meets no bound."""
     met = {">=": value >= bound, "<=": value <= bound, "<": value < bound}[sign]
     return {"name": name, "value": float(value), "bound": f"{sign} {bound:g}", "met": bool(met)}
-
-
-def whole(least: int) -> Callable[[str], int]:
-    """The type of an option: a whole number of at least `least`."""
-
-    def kind(word: str) -> int:
-        if (number := int(word)) < least:
-            raise ArgumentTypeError(f"must be at least {least}")
-        return number
-
-    return kind
 
 
 def add_runs(parser: ArgumentParser, envs: Iterable[str], help: str | None = None) -> None:
