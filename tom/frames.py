@@ -96,7 +96,7 @@ class Run:
         weight = self.reader.snapshot(step)["weight"].to_numpy(np.float32)
         record = self.reader.buffer()[0]
         # Offline data is complete from the first step on; online, each step adds a row.
-        end = len(record) if self.reader.env == ROAD else self.reader.rows_at(step)
+        end = len(record) if self.reader.env == ROAD else self.reader.profiles().rows_at(step)
         if not len(weight) <= end <= len(record):
             raise UserError(
                 f"run {self.name} does not keep its buffer of step {step}"

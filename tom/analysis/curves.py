@@ -160,7 +160,8 @@ def aggregate(
     if thinned:
         some = grid[spread(len(grid), GRID - 1)]
         grid = np.union1d(some, [min(c.step[-1] for c in curves)])  # where a table compares runs
-    values = np.stack([on_grid(c, grid) for c in curves])  # (n, T)
+    outside = {"left": np.nan, "right": np.nan}  # the steps that a curve covers
+    values = np.stack([np.interp(grid, c.step, c.value, **outside) for c in curves])  # (n, T)
     count = np.isfinite(values).sum(0)
     complete = count == len(curves)
     middle = np.empty(len(grid))
@@ -182,11 +183,6 @@ def aggregate(
         curves[0].env, learner, preset, tuple(curves), grid, middle, low, high, count,
         statistic, variant, thinned, between,
     )  # fmt: skip
-
-
-def on_grid(curve: Curve, grid: NDArray) -> NDArray[np.float64]:
-    """The curve's values (T,) on `grid`, NaN outside the steps that it covers."""
-    return np.interp(grid, curve.step, curve.value, left=np.nan, right=np.nan)
 
 
 def smoothed(group: Group, window: int) -> Group:

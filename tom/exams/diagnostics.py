@@ -53,11 +53,6 @@ def step_scale(rows: TensorTransitions) -> Tensor:
     return Scaling.of((), (rows.next_obs, rows.obs)).std
 
 
-def row_errors(error: Tensor, scale: Tensor) -> Tensor:
-    """Root mean square (N,) over the dimensions of each of errors (N, O), in units of `scale`."""
-    return (error / scale).square().mean(1).sqrt()
-
-
 @torch.no_grad()
 def errors_of_rows(model: Predictor, rows: TensorTransitions) -> Tensor:
     """One-step error (N,) of the predicted next_obs, root mean square over dimensions.
@@ -69,7 +64,8 @@ def errors_of_rows(model: Predictor, rows: TensorTransitions) -> Tensor:
     for first in range(0, len(rows), ROWS_AT_ONCE):
         part = rows[first : first + ROWS_AT_ONCE]
         _, predicted = model.predict(part.obs, part.action)
-        parts.append(row_errors(predicted - part.next_obs, scale))
+        error = (predicted - part.next_obs) / scale
+        parts.append(error.square().mean(1).sqrt())
     return torch.cat(parts) if parts else rows.reward.new_zeros(0)
 
 

@@ -141,13 +141,9 @@ class RunReader:
     def preset(self) -> str:
         return str(self.config.get("preset", "?"))
 
-    @property
+    @cached_property
     def settings(self) -> Settings:
         """The whole configuration by dotted path, values as text."""
-        return self._settings  # a property, as protocols of runs ask for
-
-    @cached_property
-    def _settings(self) -> Settings:
         return in_words(self.config.get("config"))
 
     @property
@@ -224,9 +220,6 @@ class RunReader:
 
     def profiles(self) -> Profiles:
         return self._rows(layout.PROFILES, decode.profiles_of)
-
-    def rows_at(self, step: int) -> int:
-        return self.profiles().rows_at(step)
 
     def notices(self) -> list[dict[str, Any]]:
         """The notices, with `env_step`, `code` and `message`."""

@@ -3,6 +3,7 @@
 import os
 import platform
 import subprocess
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -46,10 +47,14 @@ def git_commit() -> str | None:
 
 def machine() -> dict[str, Any]:
     """The kind of this machine, without anything that identifies it."""
+    cpus = list[str]()
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        cpus = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return {
         "system": platform.system(),
         "arch": platform.machine(),
-        "cpu": _cpu(),
+        "cpu": next(filter(None, cpus), platform.processor()),
         "cores": os.cpu_count(),
     }
 
@@ -64,12 +69,3 @@ def _git(*arguments: str) -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout.strip()
-
-
-def _cpu() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()
