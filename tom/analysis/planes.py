@@ -66,17 +66,6 @@ def standard(table: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return mean, np.where(deviation > CONSTANT, 1 / np.maximum(deviation, CONSTANT), 0.0)
 
 
-def contrast_of(rows: Transitions, weight: NDArray, names: Names) -> Plane:
-    """The contrast plane of N rows with weights (N,), from at most FITTED of them."""
-    part = spread(len(rows), FITTED)
-    return contrast(features(rows[part]), np.asarray(weight)[part], feature_names(*names))
-
-
-def principal_of(rows: Transitions, names: Names) -> Plane:
-    """The principal components of N rows, from at most FITTED of them."""
-    return principal(features(rows[spread(len(rows), FITTED)]), feature_names(*names))
-
-
 def coordinates(
     plane: Plane, count: int, table_of: Callable[[slice], NDArray]
 ) -> NDArray[np.float32]:
@@ -99,32 +88,35 @@ def log_weights(weight: NDArray) -> NDArray[np.float64]:
     return np.log2(np.maximum(relative, CLIP))
 
 
-def contrast(table: NDArray, weight: NDArray, names: Sequence[str]) -> Plane:
-    """The plane of features (N, D) where weights (N,) differ most; they grow along the first axis.
+def contrast_of(rows: Transitions, weight: NDArray, names: Names) -> Plane:
+    """The plane of N rows where their weights (N,) differ most; they grow along the first axis.
 
-    If no direction goes with the weights, the principal components.
+    Computed from at most FITTED rows. If no direction goes with the weights, the principal
+    components.
     """
+    part = spread(len(rows), FITTED)
+    table = features(rows[part])
     mean, scale = standard(table)
-    x, y = (table - mean) * scale, log_weights(weight)
+    x, y = (table - mean) * scale, log_weights(np.asarray(weight)[part])
     along = x.T @ (y - y.mean()) if len(y) else np.zeros(len(mean))
     axes: list[NDArray[np.float64]] = []
     for _ in range(2):
         size = np.linalg.norm(along)
         if size < CONSTANT:
-            return principal(table, names)
+            return principal_of(rows, names)
         axes.append(along / size)
         score = x @ axes[-1]
         # What the first component leaves of X' y; its score has mean 0, so y need not be centred.
         along = along - x.T @ score * (score @ y / (score @ score))
-    described_axes = (described(axes[0], names), described(axes[1], names))
-    return Plane(np.stack(axes, 1), mean, scale, described_axes)
+    return Plane(np.stack(axes, 1), mean, scale, described(np.stack(axes, 1), names))
 
 
-def principal(table: NDArray, names: Sequence[str]) -> Plane:
-    """The first two principal components of features (N, D)."""
+def principal_of(rows: Transitions, names: Names) -> Plane:
+    """The first two principal components of N rows, from at most FITTED of them."""
+    table = features(rows[spread(len(rows), FITTED)])
     mean, scale = standard(table)
     axes = _components((table - mean) * scale) * (scale > 0)[:, None]
-    return Plane(axes, mean, scale, (described(axes[:, 0], names), described(axes[:, 1], names)))
+    return Plane(axes, mean, scale, described(axes, names))
 
 
 def of_layer(hidden: NDArray) -> Plane:
@@ -142,11 +134,15 @@ def _components(centred: NDArray) -> NDArray[np.float64]:
     return axes * np.sign(axes[np.abs(axes).argmax(0), np.arange(2)])
 
 
-def described(axis: NDArray, names: Sequence[str]) -> str:
-    """An axis (D,) by its largest loadings: `leg angle down, torso x velocity up`."""
-    signs = loadings(axis, names).items()
-    words = ", ".join(f"{name} {'up' if sign > 0 else 'down'}" for name, sign in signs)
-    return words or "no dimension varies"
+def described(axes: NDArray, names: Names) -> tuple[str, str]:
+    """Two axes (D, 2) by their largest loadings: `leg angle down, torso x velocity up`."""
+
+    def of(axis: NDArray) -> str:
+        signs = loadings(axis, feature_names(*names)).items()
+        words = ", ".join(f"{name} {'up' if sign > 0 else 'down'}" for name, sign in signs)
+        return words or "no dimension varies"
+
+    return of(axes[:, 0]), of(axes[:, 1])
 
 
 def loadings(axis: NDArray, names: Sequence[str]) -> dict[str, int]:

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
-from tom.config import Settings, in_words
 from tom.errors import UserError
 from tom.learners import others_groups
+from tom.readable import Settings, in_words
 from tom.record import RunReader
 from tom.training.presets import resolve
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from tom.analysis.ordered_data import OrderedData, action_bounds, after_random, find_run, load_data
-from tom.config import ModelConfig, OnlineConfig, RunConfig, TomConfig, in_words
+from tom.config import ModelConfig, OnlineConfig, RunConfig, TomConfig
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.base import DynamicsModel
@@ -35,6 +35,7 @@ from tom.learners.behaviour import require_behaviour
 from tom.policy.collect import Footprint, footprint
 from tom.policy.foreign import ForeignPolicy, foreign_policy, is_foreign
 from tom.policy.stored import NAME, StoredPolicy, UniformPolicy, distances, read_policy
+from tom.readable import in_words
 from tom.record import Store, layout
 from tom.rng import Streams
 from tom.training import presets

@@ -5,7 +5,13 @@ import pytest
 from tom.analysis import planes
 from tom.data.transitions import Transitions
 
-NAMES = ["a", "b", "c", "next a", "next b"]
+NAMES = ("a", "b"), ("c",)
+
+
+def rows_of(table: np.ndarray) -> Transitions:
+    """Rows with these features (s, a, s')."""
+    none = np.zeros(len(table))
+    return Transitions(table[:, :2], table[:, 2:3], none, table[:, 3:], none, none)
 
 
 @pytest.fixture
@@ -22,7 +28,7 @@ def weight(table: np.ndarray) -> np.ndarray:
 
 def test_contrast_spans_the_first_two_krylov_directions(table: np.ndarray, weight: np.ndarray):
     """Partial least squares with one response spans X'y, (X'X) X'y (Helland 1988)."""
-    plane = planes.contrast(table, weight, NAMES)
+    plane = planes.contrast_of(rows_of(table), weight, NAMES)
     x = table.astype(np.float64) - table.astype(np.float64).mean(0)
     log = np.log2(np.maximum(weight / weight.mean(), 1 / 32))
     first = x.T @ (log - log.mean())
@@ -33,7 +39,7 @@ def test_contrast_spans_the_first_two_krylov_directions(table: np.ndarray, weigh
 
 
 def test_principal_components_are_those_of_a_singular_value_decomposition(table: np.ndarray):
-    plane = planes.principal(table, NAMES)
+    plane = planes.principal_of(rows_of(table), NAMES)
     vectors = np.linalg.svd(table.astype(np.float64) - table.mean(0), full_matrices=False)[2]
     assert np.abs(np.sum(vectors[:2].T * plane.axes, 0)) == pytest.approx([1, 1], abs=1e-6)
 
@@ -41,7 +47,7 @@ def test_principal_components_are_those_of_a_singular_value_decomposition(table:
 def test_the_share_explained_is_that_of_a_table_grouped_by_cell(
     table: np.ndarray, weight: np.ndarray
 ):
-    xy = planes.contrast(table, weight, NAMES).project(table)
+    xy = planes.contrast_of(rows_of(table), weight, NAMES).project(table)
     log = pd.Series(np.log2(np.maximum(weight / weight.mean(), 1 / 32)))
     side = int((len(weight) / 24) ** 0.5)
     ends = [np.quantile(axis.astype(float), [0.005, 0.995]).tolist() for axis in xy.T]
@@ -78,8 +84,8 @@ def test_equal_weights_and_constant_rows_have_a_plane_that_explains_nothing(coun
 
 
 def test_an_axis_is_named_by_its_largest_loadings():
-    axis = np.array([0.1, -0.8, 0.2, 0.0, -0.7])
-    assert planes.described(axis, NAMES) == "b down, c up"
+    axes = np.array([[0.1, -0.8, 0.2, 0.0, -0.7], np.zeros(5)]).T
+    assert planes.described(axes, NAMES) == ("b down, c up", "no dimension varies")
 
 
 def test_rows_count_the_whole_record_and_ages_the_rows_themselves():
