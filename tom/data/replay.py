@@ -1,5 +1,6 @@
 """A first-in-first-out buffer of transitions: the replay, the policy and the model buffer."""
 
+from collections.abc import Mapping
 from math import nan
 from typing import Any
 
@@ -32,10 +33,12 @@ class ReplayBuffer:
         self.capacity = capacity
         self.total_added = 0
         self._dims = (obs_dim, action_dim)
-        self._rows = torch.empty(capacity, 2 * obs_dim + action_dim + 3, device=device)
-        self._versions = torch.empty(capacity, dtype=torch.int64, device=device)
         width = 2 * action_dim if keeps_behaviour else 0
-        self._behaviour = torch.empty(capacity, width, device=device)
+        self._held = {
+            "rows": torch.empty(capacity, 2 * obs_dim + action_dim + 3, device=device),
+            "policy_version": torch.empty(capacity, dtype=torch.int64, device=device),
+            "behaviour": torch.empty(capacity, width, device=device),
+        }
         self._size = 0
         self._end = 0  # where the next row goes
 
@@ -55,13 +58,13 @@ class ReplayBuffer:
     ) -> None:
         """Append one transition: obs and next_obs (O,), action (A,), behaviour (2 A,)."""
         row = np.concatenate((obs, action, (reward,), next_obs, (terminated, truncated)))
-        self._rows[self._end] = torch.from_numpy(row.astype(np.float32))
+        self._held["rows"][self._end] = torch.from_numpy(row.astype(np.float32))
         # `fill_` because assigning a number on a GPU would first make a tensor of it.
-        self._versions[self._end].fill_(policy_version)
+        self._held["policy_version"][self._end].fill_(policy_version)
         if behaviour is None:
-            self._behaviour[self._end].fill_(nan)
+            self._held["behaviour"][self._end].fill_(nan)
         else:
-            self._behaviour[self._end] = torch.from_numpy(behaviour)
+            self._held["behaviour"][self._end] = torch.from_numpy(behaviour)
         self._advance(1)
 
     def extend(
@@ -74,16 +77,17 @@ class ReplayBuffer:
         if not len(rows):
             return  # a run folder without rows does not know their width
         if isinstance(policy_version, int):  # created on the buffer's device, not copied to it
-            policy_version = self._versions.new_full((len(rows),), policy_version)
-        self._extend(rows.packed(), policy_version, behaviour)
+            policy_version = self._held["policy_version"].new_full((len(rows),), policy_version)
+        given = {"policy_version": policy_version, "behaviour": behaviour}
+        self.restore_tail({"rows": rows.packed(), **given})
 
     def transitions(self) -> TensorTransitions:
         """Everything, oldest first; views while the buffer has not wrapped, a copy afterwards."""
-        return self._unpack(self._ordered(self._rows))
+        return self._unpack(self._ordered("rows"))
 
     def policy_version(self) -> Tensor:
         """The policy version of every row, oldest first, (N,) int64."""
-        return self._ordered(self._versions)
+        return self._ordered("policy_version")
 
     def behaviour(self) -> Tensor:
         """The Gaussian before tanh that each row's action was drawn from, oldest first, (N, 2 A).
@@ -91,7 +95,7 @@ class ReplayBuffer:
         Means, then log standard deviations. NaN where there was none (exploration), or it is not
         known.
         """
-        return self._ordered(self._behaviour)
+        return self._ordered("behaviour")
 
     def gather(self, index: Tensor) -> TensorTransitions:
         """The rows at `index` (n,), counted from the oldest."""
@@ -99,14 +103,14 @@ class ReplayBuffer:
 
     def packed(self, index: Tensor) -> Tensor:
         """The same rows as they are stored, (n, R)."""
-        return self._rows.index_select(0, self._physical(index))
+        return self._held["rows"].index_select(0, self._physical(index))
 
     def last(self, n: int) -> TensorTransitions:
         """The newest n rows (or all, if there are fewer), oldest first."""
-        n = min(n, self._size)
+        n, rows = min(n, self._size), self._held["rows"]
         if n <= self._end:
-            return self._unpack(self._rows[self._end - n : self._end])
-        return self.gather(torch.arange(self._size - n, self._size, device=self._rows.device))
+            return self._unpack(rows[self._end - n : self._end])
+        return self.gather(torch.arange(self._size - n, self._size, device=rows.device))
 
     def since(self, total: int) -> TensorTransitions:
         """The rows added after the first `total` ever added, as far as they are still held.
@@ -117,14 +121,22 @@ class ReplayBuffer:
 
     def tail(self, n: int) -> dict[str, Tensor]:
         """The newest n rows (or all, if there are fewer), for `restore_tail`."""
-        first, device = max(self._size - n, 0), self._rows.device
+        first, device = max(self._size - n, 0), self._held["rows"].device
         newest = self._physical(torch.arange(first, self._size, device=device))
-        parts = {"rows": self._rows, "policy_version": self._versions}
-        parts["behaviour"] = self._behaviour
-        return {name: stored.index_select(0, newest) for name, stored in parts.items()}
+        return {name: stored.index_select(0, newest) for name, stored in self._held.items()}
 
-    def restore_tail(self, tail: dict[str, Tensor]) -> None:
-        self._extend(tail["rows"], tail["policy_version"], tail["behaviour"])
+    def restore_tail(self, tail: Mapping[str, Any]) -> None:
+        """Append rows as `tail` has them; a behaviour of None is not known."""
+        count = len(tail["rows"])
+        first = max(count - self.capacity, 0)
+        self.total_added += first
+        head = min(count, first + self.capacity - self._end)
+        for part in (slice(first, head), slice(head, count)):
+            n = part.stop - part.start
+            for name, stored in self._held.items():
+                values = tail[name]
+                stored[self._end : self._end + n] = nan if values is None else values[part]
+            self._advance(n)
 
     def clear(self) -> None:
         """Forget every row; `total_added` goes on counting."""
@@ -137,9 +149,7 @@ class ReplayBuffer:
         kept = self.tail(min(self._size, capacity))
         total = self.total_added
         self.capacity = capacity
-        self._rows = self._rows.new_empty(capacity, self._rows.shape[1])
-        self._versions = self._versions.new_empty(capacity)
-        self._behaviour = self._behaviour.new_empty(capacity, self._behaviour.shape[1])
+        self._held = {n: old.new_empty(capacity, *old.shape[1:]) for n, old in self._held.items()}
         self.clear()
         self.restore_tail(kept)
         self.total_added = total
@@ -153,27 +163,13 @@ class ReplayBuffer:
         self.restore_tail(state)
         self.total_added = state["total_added"]
 
-    def _extend(self, rows: Tensor, versions: Tensor, behaviour: Tensor | None) -> None:
-        skipped = max(len(rows) - self.capacity, 0)
-        self.total_added += skipped
-        rows, versions = rows[skipped:], versions[skipped:]
-        behaviour = None if behaviour is None else behaviour[skipped:]
-        head = min(len(rows), self.capacity - self._end)
-        for part in (slice(0, head), slice(head, len(rows))):
-            n = part.stop - part.start
-            self._rows[self._end : self._end + n] = rows[part]
-            self._versions[self._end : self._end + n] = versions[part]
-            self._behaviour[self._end : self._end + n] = (
-                nan if behaviour is None else behaviour[part]
-            )
-            self._advance(n)
-
     def _advance(self, n: int) -> None:
         self._end = (self._end + n) % self.capacity
         self._size = min(self._size + n, self.capacity)
         self.total_added += n
 
-    def _ordered(self, stored: Tensor) -> Tensor:
+    def _ordered(self, name: str) -> Tensor:
+        stored = self._held[name]
         if self._size == self.capacity and self._end:
             return torch.cat((stored[self._end :], stored[: self._end]))
         return stored[: self._size]
