@@ -16,9 +16,6 @@ Whole = Annotated[int, Field(ge=0, lt=2**63)]
 Count = Annotated[int, Field(ge=1, lt=2**40)]
 """bounded, since torch cannot even ask for what is far beyond any memory"""
 
-Settings = Mapping[str, str]
-"""a configuration by dotted path, each value as text"""
-
 
 class Config(BaseModel):
     """A frozen group of settings; an unknown name or a value out of bounds is an error."""
@@ -401,18 +398,3 @@ def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
         else:
             result[name] = value
     return result
-
-
-def flat(nested: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """Every value by its dotted path, in order; an empty group has none."""
-    values: dict[str, Any] = {}
-    for name, value in nested.items():
-        inner = isinstance(value, Mapping)
-        values |= flat(value, f"{above}{name}.") if inner else {f"{above}{name}": value}
-    return values
-
-
-def in_words(config: object) -> dict[str, str]:
-    """A configuration as path: text (`sac.lr`: `0.0003`); empty if it is not a mapping."""
-    values = flat(config) if isinstance(config, Mapping) else {}
-    return {path: str(value).lower() for path, value in values.items()}

@@ -1,11 +1,14 @@
-"""Numbers as people read them, on pages, in reports and in terminals, and as they give them."""
+"""Numbers and settings as people read them, on pages, in reports, in terminals, and give them."""
 
 import math
 from argparse import ArgumentTypeError
-from collections.abc import Callable
-from typing import TypeGuard
+from collections.abc import Callable, Mapping
+from typing import Any, TypeGuard
 
 UNKNOWN = "-"
+
+Settings = Mapping[str, str]
+"""a configuration by dotted path, each value as text"""
 
 
 def number(value: float | None, digits: int = 1) -> str:
@@ -57,6 +60,21 @@ def cell(value: object) -> str:
     if value is None:
         return UNKNOWN
     return short(value, 4) if isinstance(value, float) else str(value)
+
+
+def flat(nested: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Every value by its dotted path, in order; an empty group has none."""
+    values: dict[str, Any] = {}
+    for name, value in nested.items():
+        inner = isinstance(value, Mapping)
+        values |= flat(value, f"{above}{name}.") if inner else {f"{above}{name}": value}
+    return values
+
+
+def in_words(config: object) -> dict[str, str]:
+    """A configuration as path: text (`sac.lr`: `0.0003`); empty if it is not a mapping."""
+    values = flat(config) if isinstance(config, Mapping) else {}
+    return {path: str(value).lower() for path, value in values.items()}
 
 
 def whole(least: int, most: float = math.inf) -> Callable[[str], int]:

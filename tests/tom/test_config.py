@@ -4,8 +4,9 @@ from common import online
 from gymnasium.spaces import Box
 from pydantic import ValidationError
 
-from tom.config import OnlineConfig, RolloutConfig, TomConfig, flat, in_words, merged
+from tom.config import OnlineConfig, RolloutConfig, TomConfig, merged
 from tom.envs import task
+from tom.readable import flat, in_words
 from tom.training.plan import Plan, Trial, trials
 from tom.training.presets import resolve
 

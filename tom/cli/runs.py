@@ -10,10 +10,9 @@ from typing import Any
 from tom import readable
 from tom.cli.output import print_problems, show, summary
 from tom.cli.parser import add_json, add_store, folder
-from tom.config import flat
 from tom.errors import UserError
 from tom.harmless import terminal
-from tom.readable import score, short, whole
+from tom.readable import flat, score, short, whole
 from tom.record import RunReader, Store, manage
 from tom.record.export import EXPORTERS, export, export_rows, export_small
 from tom.record.files import plain

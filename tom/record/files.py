@@ -16,6 +16,9 @@ import numpy as np
 
 from tom.record import layout
 
+MISSING = (0, 0)
+"""the stamp of a file that is missing"""
+
 
 def temp_path(path: Path) -> Path:
     """A new name for what will be renamed to `path`.
@@ -151,12 +154,21 @@ def size_of(path: Path) -> int:
     return sum(stat.st_size for _, stat in files_in(path))
 
 
+def stamp(path: Path | str) -> tuple[int, int]:
+    """The modification time of a file in ns of unix time, and its size.
+
+    MISSING if it does not exist, or is in a folder that may not be looked into.
+    """
+    try:
+        file = os.stat(path)  # noqa: PTH116 - pathlib takes longer to make a path of a text
+    except OSError:
+        return MISSING
+    return (file.st_mtime_ns, file.st_size)
+
+
 def modified(path: Path) -> int:
     """The modification time of `path` in ns of unix time; 0 if it does not exist."""
-    try:
-        return path.stat().st_mtime_ns
-    except OSError:
-        return 0
+    return stamp(path)[0]
 
 
 def read_json(path: Path) -> dict[str, Any]:

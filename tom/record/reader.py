@@ -14,14 +14,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tom.config import SAC_ALONE, Settings, in_words
+from tom.config import SAC_ALONE
 from tom.data.transitions import BEHAVIOUR, Transitions
 from tom.data.unpack import DAMAGE, cannot_read_now, read_arrays
 from tom.errors import reason
 from tom.events import Episode
+from tom.readable import Settings, in_words
 from tom.record import checkpoint, decode, layout
 from tom.record.decode import Profiles, read_table
-from tom.record.files import modified, read_json, read_json_lines
+from tom.record.files import MISSING, modified, read_json, read_json_lines, stamp
 from tom.record.status import Labels, Status, labels_of, status_of
 
 T = TypeVar("T")
@@ -48,8 +49,6 @@ OF_LOOP = ("buffer", "episodes")
 """the parts, and folders, that live weights share with their loop"""
 Version = tuple[tuple[int, int], ...]
 """(mtime_ns, size) of each file"""
-MISSING = (0, 0)
-"""the version of a file that is missing, or in a folder that may not be looked into"""
 
 
 class Recorded(NamedTuple):
@@ -109,8 +108,7 @@ class RunReader:
         content = self._read(layout.CONFIG, read_json, needed=True)
         if content is None:
             return {}
-        schema = content.get("schema")
-        if isinstance(schema, int) and schema > layout.SCHEMA:
+        if isinstance(schema := content.get("schema"), int) and schema > layout.SCHEMA:
             self._problem(
                 f"written by a newer version (schema {schema}, this one knows {layout.SCHEMA}): "
                 "parts may be missing; update tom-studio"
@@ -252,8 +250,7 @@ class RunReader:
 
         Reads the names of the first segment's arrays: an older run that was resumed does not.
         """
-        first = self.home / layout.segment(0)
-        return first.is_file() and bool(self.arrays(layout.segment(0), BEHAVIOUR.__contains__))
+        return bool(self._read(layout.segment(0), lambda p: read_arrays(p, BEHAVIOUR.__contains__)))
 
     def evaluation_steps(self) -> list[int]:
         return layout.numbers(self.home / "episodes", ".npz")
@@ -265,8 +262,7 @@ class RunReader:
 
     def buffer(self) -> tuple[Transitions, NDArray[np.int64]]:
         """The rows and policy versions of `recorded`, without the memory for the states."""
-        recorded = self.recorded(states=False)
-        return recorded.rows, recorded.version
+        return self.recorded(states=False)[:2]
 
     def recorded(self, *, states: bool = True, behaviour: bool = True) -> Recorded:
         """The replay buffer; what is not asked for is not read, and empty.
@@ -322,7 +318,7 @@ class RunReader:
     def buffer_bytes(self) -> int:
         """The bytes of the buffer's files. Reads no file."""
         firsts = layout.numbers(self.home / layout.BUFFER, ".npz")
-        return sum(_stamp(str(self.home / layout.segment(first)))[1] for first in firsts)
+        return sum(stamp(self.home / layout.segment(first))[1] for first in firsts)
 
     def field_names(self) -> list[str]:
         """The names of the task's own pictures."""
@@ -372,9 +368,8 @@ class RunReader:
                 found = [path for place in places for path in checkpoint.folders(place)]
                 states = [str((path / checkpoint.STATE).relative_to(self.path)) for path in found]
                 names = [layout.CONFIG, *states]
-        # pathlib takes longer to join paths than the kernel to stat them
         folder = str(self.home if part in OF_LOOP else self.path)
-        return tuple(_stamp(f"{folder}/{name}") for name in names)
+        return tuple(stamp(f"{folder}/{name}") for name in names)
 
     def _rows(self, name: str, decoded: Callable[[list[dict[str, Any]]], T]) -> T:
         def lines(path: Path) -> T:
@@ -403,11 +398,3 @@ class RunReader:
     def _problem(self, text: str) -> None:
         if text not in self.problems:
             self.problems.append(text)
-
-
-def _stamp(path: str) -> tuple[int, int]:
-    try:
-        file = os.stat(path)  # noqa: PTH116
-    except OSError:
-        return MISSING
-    return (file.st_mtime_ns, file.st_size)

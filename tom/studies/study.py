@@ -31,7 +31,7 @@ import torch
 from numpy.dtypes import Float32DType, Float64DType, Int64DType
 
 from tom import plugins
-from tom.config import SacRecordingConfig, in_words
+from tom.config import SacRecordingConfig
 from tom.data.unpack import DAMAGE
 from tom.envs import bring, brought, task
 from tom.envs.termination import bring_rule, brought_rules
@@ -39,7 +39,7 @@ from tom.envs.user_code import users_code
 from tom.errors import UserError, unknown
 from tom.machine.matmul import choose_matmul
 from tom.machine.processes import end_with_parent
-from tom.readable import whole
+from tom.readable import in_words, whole
 from tom.record import RunReader, Store
 from tom.record.files import replace
 from tom.record.versions import versions

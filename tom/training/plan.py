@@ -11,8 +11,9 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError
 from ruamel.yaml import YAML, YAMLError
 
-from tom.config import Config, OnlineConfig, RoadConfig, RunConfig, flat
+from tom.config import Config, OnlineConfig, RoadConfig, RunConfig
 from tom.errors import UserError, invalid_value, reason
+from tom.readable import flat
 from tom.record import RunReader
 from tom.record.layout import run_name
 from tom.training.presets import default_preset, resolve

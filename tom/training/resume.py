@@ -6,12 +6,13 @@ import torch
 from pydantic import ValidationError
 
 from tom import plugins
-from tom.config import OwnLoopConfig, SacRecordingConfig, flat
+from tom.config import OwnLoopConfig, SacRecordingConfig
 from tom.errors import StartAgainError, TryLaterError, UserError, invalid_value, reason
 from tom.events import Collected, Notice
 from tom.learners import with_own_settings
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
+from tom.readable import flat
 from tom.record import RunReader, Store, checkpoint, layout, lock
 from tom.record.checkpoint import Checkpoint
 from tom.record.files import set_aside

@@ -23,13 +23,13 @@ from app.scenes.control import RoadChoice
 from app.theme import learner_label
 from app.views.attention import in_buffer, learners
 from tom.analysis.curves import curve_points
-from tom.config import OWN_LOOP, Settings
+from tom.config import OWN_LOOP
 from tom.envs import ROAD
 from tom.exams import informative
 from tom.learners import LEARNERS
 from tom.learners.base import DEGENERATE
 from tom.metrics import describe
-from tom.readable import percent, short
+from tom.readable import Settings, percent, short
 from tom.record.decode import Profiles
 from tom.record.reader import RunReader, at_or_before
 from tom.record.thin import FITS
