@@ -33,7 +33,7 @@ class OrderedData:
     """
 
     name: str
-    env: str | None
+    env: str
     transitions: TensorTransitions
     policy_version: Tensor
     initial_obs: Tensor

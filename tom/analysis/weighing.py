@@ -256,7 +256,6 @@ def plan_weighing(
     if footprint < 1:
         raise UserError(f"a footprint of {footprint} steps is none: it takes at least 1")
     rows = _data(data, policy, store, env, step, random)
-    assert rows.env is not None
     known = task(rows.env)
     preset = preset or (EXACT if step is None else OWN)
     usual = _preset(preset, data, store, rows.env)
@@ -277,9 +276,8 @@ def plan_weighing(
             )
         if follows_behaviour(learner):
             require_behaviour(rows.policy_version, rows.behaviour, by)
-    facts = None
-    if isinstance(by, ForeignPolicy):  # what it answers to the data's observations
-        facts = by.facts(rows.transitions.obs[:: max(len(rows) // ASKED, 1)][:ASKED])
+    asked = rows.transitions.obs[:: max(len(rows) // ASKED, 1)][:ASKED]
+    facts = by.facts(asked) if isinstance(by, ForeignPolicy) else None
     return WeighingPlan(
         data=replace(
             rows,

@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import shlex
 import sys
 from pathlib import Path
 from time import perf_counter
@@ -25,7 +24,7 @@ from tom.readable import whole
 from tom.record import RunReader, Store, layout
 from tom.record.decode import read_table
 from tom.record.reader import at_or_before
-from tom.record.versions import git_commit, versions
+from tom.record.versions import command, made_by
 from tom.reports import weighing_files
 
 FRESH = 2000
@@ -111,12 +110,7 @@ def run(args: argparse.Namespace) -> int:
             "fresh": 0 if fresh is None else len(fresh),
             "model": config.model_dump(include={"kind", "hidden", "layers", "rounds"}),
         },
-        "made": {
-            "command": shlex.join(["tom", *sys.argv[1:]]),
-            "git_commit": git_commit(),
-            "versions": versions(),
-            "hours": (perf_counter() - begun) / 3600,
-        },
+        "made": {**made_by(command()), "hours": (perf_counter() - begun) / 3600},
     }
     ghosts = _ghosts(reader, models, args.step)
     out = args.out or store.new_weighing(name)

@@ -3,7 +3,6 @@
 import argparse
 import json
 import os
-import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -12,7 +11,13 @@ from typing import Any, TextIO
 from pydantic import ValidationError
 
 from tom.cli.output import ProgressReport, summary
-from tom.cli.parser import add_run_options, add_training_options, named, one_line, overrides
+from tom.cli.parser import (
+    add_run_options,
+    add_training_options,
+    named,
+    one_line,
+    overrides,
+)
 from tom.cli.sweep import drive
 from tom.data.card import sentence
 from tom.envs import ANY, ENV_NAMES
@@ -32,6 +37,7 @@ from tom.readable import score, whole
 from tom.record import RunReader, Store, checkpoint, lock, manage
 from tom.record.files import size_of
 from tom.record.task_record import card_of
+from tom.record.versions import command
 from tom.sweep.driver import Driver, FolderBackend
 from tom.sweep.engine import LocalEngine
 from tom.training.plan import checked, is_done, steps_beyond, trials
@@ -170,9 +176,8 @@ def followed(
     """
     label, stop = f"{config.env} {config.learner} seed {config.seed}", Stop()
     with on_stopping(stop), ProgressReport(label, config.total_steps, stream) as progress:
-        command = shlex.join(["tom", *sys.argv[1:]])
         watchers = (progress.consume,)
-        yield label, {"rerun": rerun, "watchers": watchers, "command": command, "stop": stop}
+        yield label, {"rerun": rerun, "watchers": watchers, "command": command(), "stop": stop}
 
 
 def _watched(

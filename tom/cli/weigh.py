@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import shlex
 import sys
 from pathlib import Path
 from time import perf_counter
@@ -30,6 +29,7 @@ from tom.machine.matmul import choose_matmul
 from tom.readable import whole
 from tom.record import Store
 from tom.record.files import plain
+from tom.record.versions import command
 from tom.reports import weighing_files
 
 MOST_BINS = 10_000
@@ -115,9 +115,8 @@ def run(args: argparse.Namespace) -> int:
         for one in plan.carry_out(bar.step):
             weighed.append(one)
             bar.print(f"{plan.data.name}: {one.learner} seed {one.seed}")
-    command = shlex.join(["tom", *sys.argv[1:]])
     hours = (perf_counter() - begun) / 3600
-    report = weighing_files.report(plan, weighed, args.policy, args.step, command, hours)
+    report = weighing_files.report(plan, weighed, args.policy, args.step, command(), hours)
     out = args.out or store.new_weighing(name)
     weighing_files.write(out, plan.data, weighed, args.bins, report)
     for notice in weighing_files.notices(report):

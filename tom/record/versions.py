@@ -2,7 +2,9 @@
 
 import os
 import platform
+import shlex
 import subprocess
+import sys
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -43,6 +45,16 @@ def git_commit() -> str | None:
     commit = _git("rev-parse", "HEAD")
     changed = _git("status", "--porcelain", "--untracked-files=no")
     return f"{commit}-dirty" if commit and changed else commit or None
+
+
+def command() -> str:
+    """This process's command line."""
+    return shlex.join(["tom", *sys.argv[1:]])
+
+
+def made_by(command: str) -> dict[str, Any]:
+    """What a result records of the code that made it."""
+    return {"command": command, "git_commit": git_commit(), "versions": versions()}
 
 
 def machine() -> dict[str, Any]:

@@ -30,7 +30,7 @@ from tom.record.files import (
 )
 from tom.record.status import Status
 from tom.record.store import Store
-from tom.record.versions import git_commit, machine, versions
+from tom.record.versions import machine, made_by
 
 SEGMENT_ROWS = 4096
 """rows up to which a segment of the replay buffer is rewritten when new rows come"""
@@ -100,11 +100,9 @@ class RunWriter:
             "seed": config.seed,
             "preset": config.preset,
             "config": config.model_dump(mode="json"),
-            "versions": versions(),
-            "git_commit": git_commit(),
+            **made_by(command),
             "machine": machine(),
             "matmul": matmul,
-            "command": command,
             "created": datetime.now(UTC).isoformat(),
             **({} if task is None else {"task": task}),
             **({"plugins": needed} if needed else {}),
@@ -164,14 +162,8 @@ class RunWriter:
         """Add to `config.json` that the run was resumed, with which code and until which step."""
         description = read_json(self.path / layout.CONFIG)
         description["config"] = config.model_dump(mode="json")
-        description.setdefault("resumes", []).append(
-            {
-                "at": datetime.now(UTC).isoformat(),
-                "command": command,
-                "versions": versions(),
-                "git_commit": git_commit(),
-            }
-        )
+        at = {"at": datetime.now(UTC).isoformat()}
+        description.setdefault("resumes", []).append(at | made_by(command))
         replace_json(self.path / layout.CONFIG, description, sync=True)
 
     def status(self, status: Status) -> None:

@@ -4,8 +4,6 @@ import base64
 import csv
 import html
 import json
-import shlex
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import groupby
@@ -16,7 +14,7 @@ from tom import readable
 from tom.harmless import cell
 from tom.record import RunReader
 from tom.record.files import replace
-from tom.record.versions import git_commit, machine, versions
+from tom.record.versions import command, git_commit, machine, versions
 
 NAME = "report.html"
 WORDS = "report.json"
@@ -97,7 +95,7 @@ def origin() -> dict[str, str]:
     """Command, time, commit, versions and machine of this process."""
     kind = machine()
     return {
-        "command": shlex.join(["tom", *sys.argv[1:]]),
+        "command": command(),
         "made": datetime.now(UTC).isoformat(" ", "minutes"),
         "commit of the report": git_commit() or "unknown",
         "versions": ", ".join(f"{name} {text}" for name, text in versions().items()),

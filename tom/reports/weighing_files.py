@@ -33,7 +33,7 @@ from tom.record.files import read_json, replace_json, whole_folder
 from tom.record.store import Store
 from tom.record.task_record import description, save_scene
 from tom.record.thin import write_columns
-from tom.record.versions import git_commit, versions
+from tom.record.versions import made_by
 from tom.reports.report import seeds, write_csv
 
 WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
@@ -211,12 +211,7 @@ def report(
             for one, shape in zip(weighed, shapes, strict=True)
         ],
         "medians": {name: medians(of) for name, of in by_learner.items()},
-        "made": {
-            "command": command,
-            "git_commit": git_commit(),
-            "versions": versions(),
-            "hours": hours,
-        },
+        "made": {**made_by(command), "hours": hours},
     }
 
 
@@ -272,7 +267,6 @@ def write(
                 arrays = decode.transition_arrays(collected)
                 np.savez(folder / layout.segment(first), allow_pickle=False, **arrays)
             # Readers of runs find the task there.
-            assert data.env is not None
             said = {"schema": layout.SCHEMA, "env": data.env, "task": description(data.env)}
             # For those who weigh these rows from here.
             said |= {"data": data.name, "ordered_from": data.ordered_from}

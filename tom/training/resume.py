@@ -2,7 +2,6 @@
 
 from typing import Any, Unpack
 
-import torch
 from pydantic import ValidationError
 
 from tom import plugins
@@ -10,8 +9,6 @@ from tom.config import OwnLoopConfig, SacRecordingConfig
 from tom.errors import StartAgainError, TryLaterError, UserError, invalid_value, reason
 from tom.events import Collected, Notice
 from tom.learners import with_own_settings
-from tom.machine.matmul import choose_matmul
-from tom.machine.memory import keep_freed_memory
 from tom.readable import flat
 from tom.record import RunReader, Store, checkpoint, layout, lock
 from tom.record.checkpoint import Checkpoint
@@ -29,8 +26,8 @@ from tom.training.run import (
     Training,
     make_training,
     make_watch,
+    prepare,
     record,
-    require_device,
 )
 from tom.training.watch import Watch
 
@@ -52,7 +49,6 @@ def resume(
     run. Other versions of packages that affect it are refused unless `accept_versions`. Raises
     UserError if the run cannot be resumed; StartAgainError if it never can.
     """
-    keep_freed_memory()
     reader = store.run(run_id)
     if reader.small_copy:
         raise UserError(
@@ -67,15 +63,13 @@ def resume(
                 "anew"
             )
         config = config.but(steps=steps)
-    require_device(config.device)
+    prepare(config, reader.config.get("matmul", {}).get("chosen", config.matmul))
     notices = [("versions", _changed_versions(reader, accept_versions))]
     if (other := changed(reader)) is not None:
         notices.append(other)
     writer = RunWriter(reader.path, config)  # takes the lock: no other process can write the run
     try:
         saved = _checkpoint(reader, config)
-        torch.set_num_threads(config.threads)
-        choose_matmul(reader.config.get("matmul", {}).get("chosen", config.matmul))
         notices.append(("settings", _changed_settings(reader, saved, config)))
         training = make_training(config)
         watch = make_watch(config, training)

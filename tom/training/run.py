@@ -3,14 +3,14 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from itertools import chain
-from typing import Any, Protocol, TypedDict, Unpack
+from typing import Any, Literal, Protocol, TypedDict, Unpack
 
 import torch
 
 from tom.config import OnlineConfig, RoadConfig, SacRecordingConfig
 from tom.errors import UserError, reason
 from tom.events import Collected, Event, Notice, Tick
-from tom.machine.matmul import choose_matmul
+from tom.machine.matmul import MatmulReport, choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.mbpo import Mbpo
 from tom.offline import Offline
@@ -57,8 +57,12 @@ class Stop:
         self.asked = True
 
 
-def require_device(device: str) -> None:
-    """Raises UserError unless torch can use `device`, cpu or cuda, here."""
+def prepare(config: AnyConfig, matmul: Literal["auto", "default", "onednn"]) -> MatmulReport:
+    """Set this process up for a training; the result of the probe for fast matrix products.
+
+    Raises UserError unless torch can use the config's device, cpu or cuda, here.
+    """
+    device = config.device
     if device.partition(":")[0] not in ("cpu", "cuda"):
         raise UserError(f"--device {device}: must be cpu or cuda")
     try:
@@ -67,6 +71,9 @@ def require_device(device: str) -> None:
         raise UserError(
             f"--device {device} cannot be used here ({reason(error)}): train with --device cpu"
         ) from None
+    keep_freed_memory()
+    torch.set_num_threads(config.threads)
+    return choose_matmul(matmul)
 
 
 def make_training(config: AnyConfig) -> Training:
@@ -93,10 +100,7 @@ def train(
     as `stopped` at once, any other error as `failed` with its reason; both are raised again. The
     record up to then stays. Raises UserError if the config's device does not exist.
     """
-    require_device(config.device)
-    keep_freed_memory()
-    torch.set_num_threads(config.threads)
-    matmul = asdict(choose_matmul(config.matmul))
+    matmul = asdict(prepare(config, config.matmul))
     writer = RunWriter.create(store, run_id, config, matmul, options.get("command", ""))
     sink = RerunSink(writer.path) if options.get("rerun", True) else None
     with Recorder(writer, sink) as recorder:
