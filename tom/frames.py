@@ -24,6 +24,7 @@ from tom.learners import WEIGHED_FIRST
 from tom.policy.stored import distances, read_policy
 from tom.record import RunReader, Store, layout
 from tom.record.decode import read_table
+from tom.record.export import export_table
 from tom.record.task_record import dimension_names, task_of
 from tom.reports import weighing_files
 from tom.reports.weighing_files import DISTANCE, REPORT, ROWS, WEIGHTS
@@ -241,6 +242,20 @@ def load(name: str | Path, store: str | Path = "runs") -> Run | Weighing:
             f"no run or weighing '{name}': name a folder, or a run of {place.path}/ (`tom runs`)"
         )
     return Run(run)
+
+
+def export_rows(name: str, store: Path, step: int | None, folder: Path) -> Path:
+    """Write the rows of a run's fit at `step` [the last kept], or of a weighing, as Parquet.
+
+    Raises UserError if there is no such fit, or the file exists already.
+    """
+    made = load(name, store)
+    if isinstance(made, Run):
+        step = made.fit(step)
+        return export_table(made.rows(step), folder / f"{made.name}-rows-{step}.parquet")
+    if step is not None:
+        raise UserError(f"{name} is a weighing, which has one buffer: --rows without a step")
+    return export_table(made.rows(), folder / f"{Path(name).name}-rows.parquet")
 
 
 def weigh(

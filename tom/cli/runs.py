@@ -2,7 +2,7 @@
 
 import argparse
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,15 +14,12 @@ from tom.errors import UserError
 from tom.harmless import terminal
 from tom.readable import flat, score, short, whole
 from tom.record import RunReader, Store, manage
-from tom.record.export import EXPORTERS, export, export_rows, export_small
+from tom.record.export import EXPORTERS, export, export_small
 from tom.record.files import plain
 from tom.record.layout import RUN_ID
 from tom.record.thin import OPTIONAL, SERIES
 
 STATES = ("running", "finished", "stopped", "failed", "dead", "unknown")
-MB = 1e6
-LAST = -1
-"""stands for the last step whose weights a run keeps"""
 
 Verb = Callable[[argparse.Namespace], int]
 Argument = tuple[str, dict[str, Any]]
@@ -68,18 +65,22 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         added.set_defaults(run=run)
 
 
-def _output(args: argparse.Namespace, content: object, lines: Iterable[str]) -> int:
-    """Print `content` as JSON if that is asked for, else the lines; returns 0."""
+def _output(
+    args: argparse.Namespace, content: object, shown: Iterable[str] | Callable[[], None]
+) -> int:
+    """Print `content` as JSON if that is asked for, else the lines `shown`, or by it; returns 0."""
     if args.json:
-        print(json.dumps(content))
+        print(json.dumps(content, allow_nan=False))
+    elif callable(shown):
+        shown()
     else:
-        for line in lines:
+        for line in shown:
             print(terminal(line))
     return 0
 
 
 def _chosen(store: Store, run_ids: Sequence[str], *, finished: bool = False) -> list[RunReader]:
-    """The named runs, each once, or all, or all that are `finished`.
+    """The named runs, each once, or all, or all that are `finished`; prints what cannot be read.
 
     Raises UserError for an unknown name, before anything is done.
     """
@@ -87,6 +88,7 @@ def _chosen(store: Store, run_ids: Sequence[str], *, finished: bool = False) -> 
     if run_ids:
         return [store.run(run_id) for run_id in dict.fromkeys(run_ids)]
     runs = store.runs()
+    print_problems(store)
     return [run for run in runs if run.status.state == "finished"] if finished else runs
 
 
@@ -102,21 +104,15 @@ def _chosen(store: Store, run_ids: Sequence[str], *, finished: bool = False) -> 
     argument("--state", choices=STATES, help="only runs in this state"),
 )
 def list_runs(args: argparse.Namespace) -> int:
-    store = Store(args.store)
-    runs = _chosen(store, ())
-    print_problems(store)
     shown = [
         run
-        for run in runs
+        for run in _chosen(Store(args.store), ())
         if args.env in (None, run.env)
         and args.learner in (None, run.learner)
         and args.state in (None, run.status.shown)
         and (args.tag is None or args.tag in run.labels.tags)
     ]
     rows = list(map(_row, shown))
-    if args.json:
-        print(json.dumps(rows))
-        return 0
     columns = {
         "run": [row["run_id"] for row in rows],
         "name": [row["name"] for row in rows],
@@ -128,8 +124,8 @@ def list_runs(args: argparse.Namespace) -> int:
         "problems": ["; ".join(row["problems"]) for row in rows],
     }
     filled = {name: cells for name, cells in columns.items() if any(cells) or name == "run"}
-    show(f"{len(rows)} runs in {args.store}", list(filled), zip(*filled.values(), strict=True))
-    return 0
+    title, cells = f"{len(rows)} runs in {args.store}", zip(*filled.values(), strict=True)
+    return _output(args, rows, lambda: show(title, list(filled), cells))
 
 
 def _row(run: RunReader) -> dict[str, Any]:
@@ -150,14 +146,12 @@ def show_run(args: argparse.Namespace) -> int:
     from tom.data.card import sentence
     from tom.record.task_record import card_of  # tasks take a second to import
 
-    row, card = _row(run), card_of(run)
+    row, card = {**_row(run), "note": run.labels.note}, card_of(run)
     if args.json:
-        more = {"note": run.labels.note, "description": run.config, "card": plain(card)}
-        print(json.dumps({**row, **more}, allow_nan=False))
-        return 0
+        return _output(args, {**row, "description": run.config, "card": plain(card)}, ())
     row["state"] = run.shown
     del row["small_copy"]  # the state says so
-    described = {**row, "note": run.labels.note, "reason": run.status.reason, **flat(run.config)}
+    described = {**row, "reason": run.status.reason, **flat(run.config)}
     texts = [(name, text) for name, value in described.items() if (text := _text(value))]
     show(run.run_id, ("what", "value"), texts)
     last = run.metrics().ffill().tail(1)
@@ -188,12 +182,10 @@ def diff(args: argparse.Namespace) -> int:
         both.append(flat(own) | {name: getattr(run.status, name) for name in results})
     first, second = both
     names = [n for n in dict.fromkeys([*first, *second]) if first.get(n) != second.get(n)]
-    if args.json:
-        print(json.dumps({name: [first.get(name), second.get(name)] for name in names}))
-    else:
-        rows = [(name, _text(first.get(name)), _text(second.get(name))) for name in names]
-        show(f"{len(rows)} differences", ("what", args.first, args.second), rows)
-    return 0
+    values = {name: [first.get(name), second.get(name)] for name in names}
+    rows = [(name, *map(_text, both)) for name, both in values.items()]
+    title, columns = f"{len(rows)} differences", ("what", args.first, args.second)
+    return _output(args, values, lambda: show(title, columns, rows))
 
 
 def _text(value: Any) -> str:
@@ -255,7 +247,7 @@ def verify(args: argparse.Namespace) -> int:
     problems = {run.run_id: integrity.verify(run) for run in _chosen(store, args.run_ids)}
     bad = sum(map(bool, problems.values()))
     lines = [f"{run_id}: {text}" for run_id, texts in problems.items() for text in texts]
-    lines += [*store.problems, f"{len(problems)} runs read, {bad} with problems"]
+    lines.append(f"{len(problems)} runs read, {bad} with problems")
     _output(args, {"runs": problems, "store": store.problems}, lines)
     return 1 if bad or store.problems else 0
 
@@ -288,7 +280,7 @@ def repair(args: argparse.Namespace) -> int:
         + ", ".join(OPTIONAL),
     ),
     argument(
-        "--rows", type=whole(0), nargs="?", const=LAST, metavar="STEP",
+        "--rows", type=whole(0), nargs="?", const=True, metavar="STEP",
         help="the buffer's rows of the fit at STEP [the last kept]; a RUN may also be a weighing",
     ),
     argument("--out", type=Path, default=Path("exports"), help="folder [exports/]"),
@@ -302,78 +294,48 @@ def export_runs(args: argparse.Namespace) -> int:
         raise UserError(f"{' and '.join(chosen)} are different exports: choose one")
     if both := sorted({*args.keep} & {*args.without}):
         raise UserError(f"--keep and --without both name {', '.join(both)}: choose one")
-    paths = list(map(str, _exported(args)))
-    return _output(args, paths, paths)
-
-
-def _exported(args: argparse.Namespace) -> Iterator[Path]:
-    """Export what was asked for; a small copy brings copies of the weighings of its buffer."""
-    if args.rows is not None and args.run_ids:
-        for name in dict.fromkeys(args.run_ids):
-            yield _rows(name, args)
-        return
-    store = Store(args.store)
-    runs = _chosen(store, args.run_ids, finished=True)
-    print_problems(store)
-    if not runs:
+    of_rows = args.rows is not None and args.run_ids  # which may name weighings as well
+    runs = [] if of_rows else _chosen(Store(args.store), args.run_ids, finished=True)
+    if not (runs or of_rows):
         raise UserError(f"{args.store}/ has no finished runs: name those to export")
-    for run in runs:
-        if args.small:
-            from tom.reports.weighing_files import copy_small
+    names = dict.fromkeys(args.run_ids or (run.run_id for run in runs))
+    if args.rows is not None:
+        from tom.frames import export_rows
 
-            yield export_small(run, args.out, args.keep, args.without)
-            yield from copy_small(args.store, run.run_id, args.out)
-        elif args.rows is not None:
-            yield _rows(run.run_id, args)
-        else:
-            yield export(run, args.format or "csv", args.out)
+        step = None if args.rows is True else args.rows  # the last kept
+        made = [export_rows(name, args.store, step, args.out) for name in names]
+    elif args.small:  # with the weighings of its buffer
+        from tom.reports.weighing_files import copy_small
 
-
-def _rows(name: str, args: argparse.Namespace) -> Path:
-    """Export the rows of a fit of the run `name`, or those of the weighing."""
-    from tom.frames import Run, load
-
-    made = load(name, args.store)
-    if isinstance(made, Run):
-        step = made.fit(None if args.rows == LAST else args.rows)
-        return export_rows(made.rows(step), args.out / f"{made.name}-rows-{step}.parquet")
-    if args.rows != LAST:
-        raise UserError(f"{name} is a weighing, which has one buffer: --rows without a step")
-    return export_rows(made.rows(), args.out / f"{Path(name).name}-rows.parquet")
+        made = [export_small(run, args.out, args.keep, args.without) for run in runs]
+        made += [copy for name in names for copy in copy_small(args.store, name, args.out)]
+    else:
+        made = [export(run, args.format or "csv", args.out) for run in runs]
+    paths = list(map(str, made))
+    return _output(args, paths, paths)
 
 
 @verb("index", "write the store's README.md: its small copies, and how each was made")
 def index(args: argparse.Namespace) -> int:
     from tom.reports import index as page
-    from tom.reports.weighing_files import of_run
 
     store = Store(args.store)
-    runs = page.small_copies(store)
+    path = str(page.write(store))
     print_problems(store)
-    if not runs:
-        raise UserError(f"{store.path}/ has no small copies: tom runs export --small makes them")
-    path = store.path / page.NAME
-    weighings = [weighing for run in runs for weighing in of_run(store.path, run.run_id)]
-    page.write(path, page.index(runs, weighings))
-    return _output(args, str(path), [str(path)])
+    return _output(args, path, [path])
 
 
 @verb("size", "what runs [all] take on the disk, in MB", ANY)
 def size(args: argparse.Namespace) -> int:
-    store = Store(args.store)
-    parts = {run.run_id: manage.sizes(run) for run in _chosen(store, args.run_ids)}
-    print_problems(store)
-    if args.json:
-        print(json.dumps(parts))
-        return 0
+    parts = {run.run_id: manage.sizes(run) for run in _chosen(Store(args.store), args.run_ids)}
     largest = sorted(parts.items(), key=lambda item: -sum(item[1].values()))
     rows = [
-        (name, *(readable.number(count / MB) for count in [*of.values(), sum(of.values())]))
+        (name, *(readable.number(count / 1e6) for count in [*of.values(), sum(of.values())]))
         for name, of in largest
     ]
     total = readable.size(sum(sum(of.values()) for of in parts.values()))
-    show(f"{total} in {len(rows)} runs", ("run", *manage.PARTS, "all"), rows)
-    return 0
+    title, columns = f"{total} in {len(rows)} runs", ("run", *manage.PARTS, "all")
+    return _output(args, parts, lambda: show(title, columns, rows))
 
 
 @verb(
@@ -384,9 +346,7 @@ def size(args: argparse.Namespace) -> int:
     argument("--dry-run", action="store_true", help="say what it would free"),
 )
 def prune(args: argparse.Namespace) -> int:
-    store = Store(args.store)
-    runs = _chosen(store, args.run_ids, finished=True)
-    print_problems(store)
+    runs = _chosen(Store(args.store), args.run_ids, finished=True)
     counts = {run.run_id: manage.prune(run, args.keep, dry_run=args.dry_run) for run in runs}
     freed = {name: count for name, count in counts.items() if count}
     would = "would free" if args.dry_run else "freed"
@@ -436,6 +396,4 @@ def fetch(args: argparse.Namespace) -> int:
                 print(terminal(f"{run_id} {done[run_id]}"), flush=True)
     except OSError as error:
         raise UserError(f"{args.url}: {error}") from error
-    if args.json:
-        print(json.dumps(done))
-    return 0
+    return _output(args, done, ())

@@ -39,8 +39,8 @@ def export_small(
     return _written(folder / reader.run_id, lambda path: thin(reader, path, keep, without))
 
 
-def export_rows(table: pd.DataFrame, path: Path) -> Path:
-    """Write a table of rows (`tom.analysis.planes`) as Parquet; see `export` for errors."""
+def export_table(table: pd.DataFrame, path: Path) -> Path:
+    """Write a table as Parquet; see `export` for errors."""
     return _written(path, partial(_write_frame, table))
 
 

@@ -16,7 +16,7 @@ from tom.record import RunReader, Store
 from tom.record.files import read_json, replace
 from tom.record.thin import without_options
 from tom.reports.report import run_hours, seeds
-from tom.reports.weighing_files import REPORT
+from tom.reports.weighing_files import REPORT, of_run
 
 NAME = "README.md"
 COMMIT = 10  # characters shown of a commit
@@ -55,11 +55,16 @@ def index(runs: Sequence[RunReader], weighings: Sequence[Path]) -> str:
     return "\n".join(parts)
 
 
-def write(path: Path, page: str) -> None:
-    """Write the page to `path` atomically.
+def write(store: Store) -> Path:
+    """Write the page about a store into it, atomically; its path.
 
-    Raises UserError if `path` is a page that a person wrote, or if it cannot be written.
+    Raises UserError if there are no small copies, or the page there was written by a person, or it
+    cannot be written.
     """
+    runs, path = small_copies(store), store.path / NAME
+    if not runs:
+        raise UserError(f"{store.path}/ has no small copies: tom runs export --small makes them")
+    page = index(runs, [path for run in runs for path in of_run(store.path, run.run_id)])
     try:
         held = path.read_text(errors="replace") if path.exists() else MARK
         if MARK not in held:
@@ -72,6 +77,7 @@ def write(path: Path, page: str) -> None:
         raise UserError(
             f"cannot write {path} ({error.strerror}): make its folder writable, or move it away"
         ) from error
+    return path
 
 
 def _row(run: RunReader, settings: str) -> dict[str, str]:
