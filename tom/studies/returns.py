@@ -182,11 +182,11 @@ def _curves(cells: Sequence[Cell]) -> Iterator[Row]:
 
 def verdict(cells: Sequence[Cell]) -> list[str]:
     """TOM's place among the groups with enough runs to be ranked, and the reservations."""
-    at, of_paper = compared_at(cells), [c for c in cells if c.env in PAPER_ENVS]
-    said = _places([c for c in of_paper if c.n >= RANKED], at)
+    of_paper = [c for c in cells if c.env in PAPER_ENVS]
+    said = _places([c for c in of_paper if c.n >= RANKED])
     if few := [f"{c.env}: {c.label} (n = {c.n})" for c in of_paper if c.n < RANKED]:
         said.append(f"Not ranked, with fewer than {RANKED} runs: {'; '.join(few)}.")
-    for env, step in at.items():
+    for env, step in compared_at(cells).items():
         here = [c for c in cells if c.env == env]
         if (longest := max(cell.longest for cell in here)) > step:
             said.append(
@@ -201,7 +201,7 @@ def verdict(cells: Sequence[Cell]) -> list[str]:
     return said
 
 
-def _places(ranked: Sequence[Cell], at: dict[str, float]) -> list[str]:
+def _places(ranked: Sequence[Cell]) -> list[str]:
     """Where TOM and its variants have the highest mean, each without the others as rivals.
 
     Only environments count that have TOM, of the first preset, and another learner.
@@ -215,13 +215,13 @@ def _places(ranked: Sequence[Cell], at: dict[str, float]) -> list[str]:
             "and of another learner: nothing to compare with the claim."
         ]
     best = {
-        env: max(c.scores(at[env]).mean() for c in every if c.env == env and c.learner != "tom")
+        env: max(c.scores().mean() for c in every if c.env == env and c.learner != "tom")
         for env in judged
     }
     said = []
     for label in dict.fromkeys(c.label for c in every if c.learner == "tom"):
         own = [c for c in every if c.label == label]
-        first = [c.env for c in own if c.scores(at[c.env]).mean() > best[c.env]]
+        first = [c.env for c in own if c.scores().mean() > best[c.env]]
         where = f" ({', '.join(first)})" if first else ""
         said.append(
             f"{label} has the highest mean in {len(first)} of {len(own)} of the paper's "
@@ -231,8 +231,8 @@ def _places(ranked: Sequence[Cell], at: dict[str, float]) -> list[str]:
         said.append(f"The smallest group: {few}.")
     short = [
         f"{env} {step:.0f} of {task(env).steps}"
-        for env, step in at.items()
-        if env in judged and step < task(env).steps
+        for env, step in compared_at(every).items()
+        if step < task(env).steps
     ]
     if short:
         said.append(f"Compared before the end of the paper's training: {'; '.join(short)} steps.")

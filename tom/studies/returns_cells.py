@@ -10,7 +10,7 @@ page (`tom/analysis/scores.py`).
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -46,6 +46,10 @@ class Cell:
     variant: str
     """in what its runs differ from the learner's in the first requested preset, in words"""
     recorded: tuple[Recorded, ...]
+    at: float = np.inf
+    """the step at which the learners of its environment are compared: the last that all reach"""
+    since: float = -np.inf
+    """the first step from which on all their runs have returns"""
 
     @property
     def runs(self) -> list[RunReader]:
@@ -73,9 +77,9 @@ class Cell:
     def seeds(self) -> list[int]:
         return [curve.seed for curve in self.curves]
 
-    def scores(self, step: float, score: str = BEST, since: float = -np.inf) -> Array:
-        """The best return of each seed up to `step`, or another score of SCORES, (n,)."""
-        return scores_of(self.curves, score, step, since)
+    def scores(self, score: str = BEST) -> Array:
+        """The best return of each seed up to `at`, or another score of SCORES, (n,)."""
+        return scores_of(self.curves, score, self.at, self.since)
 
 
 def select(
@@ -95,10 +99,10 @@ def select(
     """
     cells, left_out = all_cells(runs, presets, at or {}, apart)
     cells = [cell for cell in cells if groups is None or cell.label in groups]
-    common = compared_at(cells)
-    late = [cell for cell in cells if not begun(cell.curves, common[cell.env])]
+    late = [cell for cell in compared(cells) if not begun(cell.curves, cell.at)]
     left_out += [run.run_id for cell in late for run in cell.runs]
-    return [cell for cell in cells if cell not in late], left_out
+    gone = {(cell.env, cell.label) for cell in late}
+    return compared([cell for cell in cells if (cell.env, cell.label) not in gone]), left_out
 
 
 def all_cells(
@@ -142,21 +146,20 @@ def _largest(every: Sequence[Recorded]) -> list[Recorded]:
     return [chosen[seed] for seed in sorted(chosen)]
 
 
+def compared(cells: Sequence[Cell]) -> list[Cell]:
+    """The cells with the steps between which those of an environment are compared."""
+    by_env = {
+        cell.env: [c for of in cells if of.env == cell.env for c in of.curves] for cell in cells
+    }
+    return [
+        replace(cell, at=common_step(by_env[cell.env]), since=common_start(by_env[cell.env]))
+        for cell in cells
+    ]
+
+
 def compared_at(cells: Sequence[Cell]) -> dict[str, float]:
-    """For each environment the last step that all its runs reach."""
-    return {env: common_step(curves) for env, curves in _by_env(cells).items()}
-
-
-def compared_from(cells: Sequence[Cell]) -> dict[str, float]:
-    """For each environment the first step from which on all its runs have returns."""
-    return {env: common_start(curves) for env, curves in _by_env(cells).items()}
-
-
-def _by_env(cells: Sequence[Cell]) -> dict[str, list[Curve]]:
-    found: dict[str, list[Curve]] = {}
-    for cell in cells:
-        found.setdefault(cell.env, []).extend(cell.curves)
-    return found
+    """For each environment the step at which its learners are compared."""
+    return {cell.env: cell.at for cell in cells}
 
 
 def cell_of(cells: Sequence[Cell], env: str, learner: str, variant: str = "") -> Cell | None:

@@ -26,8 +26,6 @@ from tom.studies.returns_cells import (
     Array,
     Cell,
     cell_of,
-    compared_at,
-    compared_from,
 )
 from tom.studies.study import Row
 
@@ -66,26 +64,23 @@ def summary(cells: Sequence[Cell]) -> list[Row]:
 
     Areas begin at the first step from which on all runs of the environment have returns.
     """
-    at, since, rows = compared_at(cells), compared_from(cells), []
+    rows = []
     for cell in cells:
-        step = at[cell.env]
-        scores = cell.scores(step)
-        area = interval(cell.scores(step, HEIGHT, since[cell.env]))
-        rival = cell_of(cells, cell.env, RIVAL)
-        target = float(rival.scores(step).mean()) if rival else np.nan
-        steps = steps_to(cell.curves, target, step)
+        scores, rival = cell.scores(), cell_of(cells, cell.env, RIVAL)
+        target = float(rival.scores().mean()) if rival else np.nan
+        steps = steps_to(cell.curves, target, cell.at)
         rows.append(
             {
                 "env": cell.env,
                 "learner": cell.label,
                 "n": cell.n,
                 "seeds": " ".join(map(str, cell.seeds)),
-                "at step": int(step),
+                "at step": int(cell.at),
                 **interval(scores).columns("mean"),
                 "median": interval(scores, "median").value,
                 **interval(scores, "iqm").columns("IQM", "IQM"),
-                "final": interval(cell.scores(step, FINAL)).value,
-                **area.columns("area", "area"),
+                "final": interval(cell.scores(FINAL)).value,
+                **interval(cell.scores(HEIGHT)).columns("area", "area"),
                 "steps to MLE's": float(np.median(steps)) if rival else np.nan,
                 "reach": int(common_step(cell.curves)),
                 "paper's steps": task(cell.env).steps,
@@ -103,11 +98,7 @@ def improvement(
     Every learner against MLE, and TOM against every other; if `planned`, because the reader chose
     the learners, each against each. By some of MEASURES (an area is the curve's mean height).
     """
-    at, since = compared_at(cells), compared_from(cells)
-    numbers = {
-        MEASURES[score]: {cell: cell.scores(at[cell.env], score, since[cell.env]) for cell in cells}
-        for score in by
-    }
+    numbers = {MEASURES[score]: {cell: cell.scores(score) for cell in cells} for score in by}
     return _contests(cells, numbers, "by", "wins", planned)
 
 
@@ -186,11 +177,11 @@ def factors(cells: Sequence[Cell], measures: Collection[str] = MEASURES) -> list
     corrected for the number of rows that have one; the interaction has none, nor has a cell of one
     run.
     """
-    at, since, rows = compared_at(cells), compared_from(cells), []
+    rows = []
     for four in _designs(cells):
         env, few = four[0].env, remark([cell.n for cell in four])
         for by in measures:
-            scores = [cell.scores(at[env], by, since[env]) for cell in four]
+            scores = [cell.scores(by) for cell in four]
             for name, signs in EFFECTS.items():
                 row = {"env": env, "learner": four[0].label, "effect of": name, "by": MEASURES[by]}
                 rows.append({**row, **_effect(scores, signs), "remark": few})
@@ -283,13 +274,13 @@ def _table(cells: Sequence[Cell], names: Sequence[str]) -> list[Row]:
 
 def _numbers(cells: Sequence[Cell]) -> dict[Cell, list[dict[str, float]]]:
     """What the fits of each cell's runs come to, over the fits that count, as far as recorded."""
-    at, found = compared_at(cells), {}
+    found = {}
     since = {
         env: counted_from(one.metrics for c in cells if c.env == env for one in c.recorded)
-        for env in at
+        for env in {cell.env for cell in cells}
     }
     for cell in cells:
-        counted = since[cell.env], at[cell.env]
+        counted = since[cell.env], cell.at
         found[cell] = [
             _of_run(one.metrics.loc[one.metrics["env_step"].between(*counted)])
             for one in cell.recorded
