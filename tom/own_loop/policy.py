@@ -19,7 +19,7 @@ from tom.envs import Task
 from tom.errors import UserError
 from tom.nn.mlp import StackedMLP
 from tom.policy.foreign import ForeignPolicy
-from tom.policy.stored import CRITIC
+from tom.policy.stored import layer_arrays
 
 HIDDEN, LR, BATCH = 64, 3e-3, 256
 STEPS, STEPS_AGAIN = 600, 150
@@ -60,13 +60,10 @@ class PolicyCopier:
                 f"{self._known.name} has {self._known.obs_dim} and {self._known.action_dim}"
             )
         scale, offset = self._scale / spread, (self._offset - centre) / spread
-        arrays = _arrays(self._known, _moved(actor, scale, offset))
-        if len(critics) >= 2:
-            twins = [_moved(critic, scale, offset) for critic in critics[:2]]
-            for k, pair in enumerate(zip(*twins, strict=True)):
-                for part, values in zip(("weight", "bias"), zip(*pair, strict=True), strict=True):
-                    arrays[f"{CRITIC}{part}_{k}"] = np.stack(values).astype(np.float32)
-        return arrays, None
+        pair = critics[:2] if len(critics) >= 2 else []
+        twins = [_moved(critic, scale, offset) for critic in pair]
+        both = [tuple(map(np.stack, zip(*of, strict=True))) for of in zip(*twins, strict=True)]
+        return layer_arrays(self._known.name, _moved(actor, scale, offset), both), None
 
     def _learnt(self, policy: Any, obs: NDArray) -> Copy:
         """A network that has learnt the policy's mean and spread before the tanh."""
@@ -101,15 +98,8 @@ class PolicyCopier:
             off = self._net(x[None])[0].chunk(2, -1)[0].tanh() - mean.tanh()
         layers = [(_numbers(w[0]), _numbers(b[0, 0])) for w, b in self._net.layers]
         scale, offset = 1 / _numbers(spread), -_numbers(centre / spread)
-        arrays = _arrays(self._known, _moved(layers, scale, offset))
+        arrays = layer_arrays(self._known.name, _moved(layers, scale, offset))
         return arrays, float(off.square().mean().sqrt())
-
-
-def _arrays(known: Task, actor: Layers) -> dict[str, NDArray]:
-    arrays: dict[str, NDArray] = {"env": np.array(known.name)}
-    for k, (weight, bias) in enumerate(actor):
-        arrays |= {f"weight_{k}": weight.astype(np.float32), f"bias_{k}": bias.astype(np.float32)}
-    return arrays
 
 
 def _moved(layers: Layers, scale: NDArray, offset: NDArray) -> Layers:

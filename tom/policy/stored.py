@@ -7,7 +7,7 @@ log standard deviation of a Gaussian that tanh squashes (see `tom.policy.sac`).
 Q(s, a); files of earlier versions have none. Numbers are float32, in small copies of runs float16.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from math import log
 from pathlib import Path
@@ -29,17 +29,24 @@ NAME = "policy.npz"
 CRITIC = "critic_"
 
 Arrays = Mapping[str, NDArray]
+Layers = Sequence[tuple[Tensor | NDArray, Tensor | NDArray]]
 
 
 def policy_arrays(env: str, sac: Sac) -> dict[str, NDArray]:
     """The arrays of the file for the first member of `sac`."""
+    actor = [(weight[0], bias[0, 0]) for weight, bias in sac.actor.layers]
+    critics = [(weight, bias[:, 0]) for weight, bias in sac.critic.layers]
+    return layer_arrays(env, actor, critics)
+
+
+def layer_arrays(env: str, actor: Layers, critics: Layers = ()) -> dict[str, NDArray]:
+    """The arrays of the file for weight and bias of each layer."""
     arrays: dict[str, NDArray] = {"env": np.array(env)}
-    for k, (weight, bias) in enumerate(sac.actor.layers):
-        arrays[f"weight_{k}"] = _array(weight[0])
-        arrays[f"bias_{k}"] = _array(bias[0, 0])
-    for k, (weight, bias) in enumerate(sac.critic.layers):
-        arrays[f"{CRITIC}weight_{k}"] = _array(weight)
-        arrays[f"{CRITIC}bias_{k}"] = _array(bias[:, 0])
+    for prefix, layers in (("", actor), (CRITIC, critics)):
+        for k, (weight, bias) in enumerate(layers):
+            for name, part in (("weight", weight), ("bias", bias)):
+                part = part.detach().cpu() if isinstance(part, Tensor) else part
+                arrays[f"{prefix}{name}_{k}"] = np.array(part, np.float32)
     return arrays
 
 
@@ -123,10 +130,6 @@ def read_policy(path: Path) -> StoredPolicy:
                 "(docs/your-own.md, for stable-baselines3 too)"
             ) from None
         raise UserError(f"{path} is no stored policy ({reason(error)}): name another") from error
-
-
-def _array(parameter: Tensor) -> NDArray[np.float32]:
-    return parameter.detach().cpu().numpy().copy()
 
 
 def _layers(arrays: Arrays, prefix: str = "") -> dict[str, NDArray]:
