@@ -226,7 +226,7 @@ def _of_values(card: Card) -> Iterator[Notice]:
         mean, std = float(card.obs.mean[lost][0]), float(card.obs.std[lost][0])
         yield (
             "precision",
-            f"single precision cannot tell the values of observation {_dims(lost)} apart (a mean "
+            f"single precision cannot tell the values of observation {dims(lost)} apart (a mean "
             f"of {short(mean)}, a standard deviation of {short(std)}): an offset, or bounds that "
             "are far too wide; subtract it, or give the observation space bounds that the values "
             "fill",
@@ -302,7 +302,7 @@ def _of_task(card: Card) -> Iterator[Notice]:
     if scaled.any():
         yield (
             "action-range",
-            f"the recorded actions of {_dims(scaled)} fill [-1, 1] and no more, where {card.task} "
+            f"the recorded actions of {dims(scaled)} fill [-1, 1] and no more, where {card.task} "
             f"takes {_bounds(card)}: actions of a library that scales them; write them in the "
             "task's own units",
         )
@@ -352,7 +352,8 @@ def _bounds(card: Card) -> str:
     return f"{short(float(low.min()))} to {short(float(high.max()))}"
 
 
-def _dims(which: NDArray[np.bool_]) -> str:
+def dims(which: NDArray[np.bool_]) -> str:
+    """Some dimensions by their numbers, eight at most."""
     numbers = np.flatnonzero(which).tolist()
     shown = ", ".join(map(str, numbers[:8])) + (", ..." if len(numbers) > 8 else "")
     return f"dimension {shown}" if len(numbers) == 1 else f"dimensions {shown}"

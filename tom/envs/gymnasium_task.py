@@ -18,6 +18,7 @@ from gymnasium.spaces import Box, Dict
 from gymnasium.wrappers import FlattenObservation, TimeLimit
 from numpy.typing import NDArray
 
+from tom.data.card import dims
 from tom.envs import termination
 from tom.envs.environment import Simulator, Unit, simulated
 from tom.envs.mujoco import log_warnings
@@ -241,12 +242,11 @@ def _units(obs: Box, seen: NDArray) -> tuple[NDArray, NDArray, NDArray[np.bool_]
 def _notices(name: str, changed: NDArray[np.bool_], repeats: bool) -> tuple[tuple[str, str], ...]:
     notices = []
     if changed.any():
-        numbers = ", ".join(map(str, np.flatnonzero(changed).tolist()))
         notices.append((
             "scale",
-            f"observation {numbers} of {name} changes by a small part of its bounds, or of its "
-            "distance from zero: it is scaled by what short episodes saw, not by its bounds; give "
-            "the observation space bounds that its values fill",
+            f"observation {dims(changed)} of {name} changes by a small part of its bounds, or of "
+            "its distance from zero: it is scaled by what short episodes saw, not by its bounds; "
+            "give the observation space bounds that its values fill",
         ))  # fmt: skip
     if not repeats:
         notices.append((

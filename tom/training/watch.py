@@ -8,10 +8,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from tom.config import OnlineConfig, RunConfig, SacRecordingConfig
-from tom.data.card import FEW_ROWS, Card, take, with_rule
+from tom.data.card import FEW_ROWS, Card, dims, take, with_rule
 from tom.data.replay import ReplayBuffer
 from tom.envs import task
 from tom.envs.termination import learns_ends, rule
@@ -21,8 +19,6 @@ from tom.metrics import MODEL, SHORTER, require_finite
 
 EXPLODED_SHARE = 1e-3
 """share of modelled steps far outside the data from which a notice is given"""
-NAMED = 8
-"""maximum number of dimensions that a notice names"""
 SHORT_EPISODES = 10
 """number of successive one-step episodes from which a notice is given"""
 
@@ -136,14 +132,12 @@ PERFECT = (
 
 
 def _constant(card: Card) -> str:
-    still = np.flatnonzero(card.obs.low == card.obs.high).tolist()
-    dims = len(card.obs.low)
-    if not still or len(still) == dims:
+    still = card.obs.low == card.obs.high
+    if not still.any() or still.all():
         return ""
-    shown = ", ".join(map(str, still[:NAMED])) + (", ..." if len(still) > NAMED else "")
     return (
-        f"{len(still)} of {dims} observation dimensions ({shown}) have never changed: nothing can "
-        "be learnt of them; leave them out of the observation if they carry nothing"
+        f"observation {dims(still)} of {len(still)} never changed: nothing can be learnt there; "
+        "leave out of the observation what carries nothing"
     )
 
 
