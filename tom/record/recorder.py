@@ -298,7 +298,7 @@ class Recorder:
             if now > then and step > step_then:
                 values["time/env_steps_per_s"] = (step - step_then) / (now - then)
                 self._last_row = (now, step)
-        self._writer.metrics({"env_step": step, **values})
+        self._writer.append(layout.METRICS, {"env_step": step, **values})
 
     def _weights(self, weights: Weights) -> None:
         step, parts, total = weights.env_step, self._config.snapshots, self._config.total_steps

@@ -151,7 +151,7 @@ class RunWriter:
             lines.cut(size)
         for row in before[len(read_json_lines(self.path / layout.NOTICES)[0]) :]:
             if row.get("code") in RESUMING:
-                self._append(layout.NOTICES, row)
+                self.append(layout.NOTICES, row)
         self._latest_snapshot = mark["latest_snapshot"]
         self._tail_first, self._tail = mark["segment"], {}
         for first in layout.numbers(self.path / layout.BUFFER, ".npz"):
@@ -172,12 +172,13 @@ class RunWriter:
         content = asdict(status)
         replace_json(self.path / layout.STATUS, content, sync=status.state != "running")
 
-    def metrics(self, row: Mapping[str, Any]) -> None:
-        self._append(layout.METRICS, row)
+    def append(self, name: str, row: Mapping[str, Any]) -> None:
+        """Append a row to one of layout.LINES."""
+        self._lock.check()
+        self._lines[name].append(row)
 
     def notice(self, env_step: int, code: str, message: str) -> None:
-        row = {"env_step": env_step, "code": code, "message": message}
-        self._append(layout.NOTICES, row)
+        self.append(layout.NOTICES, {"env_step": env_step, "code": code, "message": message})
 
     def profile(self, weights: Weights, bins: int) -> None:
         row = {
@@ -188,7 +189,7 @@ class RunWriter:
             "zeros": zero_share(weights.weight),
             **({} if weights.rows is None else {"rows": weights.rows}),
         }
-        self._append(layout.PROFILES, row)
+        self.append(layout.PROFILES, row)
 
     def snapshot(self, weights: Weights, *, keep: bool) -> None:
         """Write the single weights and their policy; earlier ones are deleted unless kept."""
@@ -247,10 +248,6 @@ class RunWriter:
     def _end_segment(self) -> None:
         self._tail_first += len(self._tail.get("policy_version", ()))
         self._tail = {}
-
-    def _append(self, name: str, row: Mapping[str, Any]) -> None:
-        self._lock.check()
-        self._lines[name].append(row)
 
     def _table(self, name: str, table: pa.Table, *, sync: bool = False) -> None:
         self._lock.check()
