@@ -1,7 +1,6 @@
 """What acts on road-and-rocks: a linear model with known bounds and reward, and SAC."""
 
 from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -39,35 +38,27 @@ def fit_linear(rows: TensorTransitions, weighting: Weighting) -> RoadModel:
 SPREAD = 6.0
 
 
-class RoadSac:
-    """One SAC as a policy over positions (a `tom.learners.base.Policy`) and its optimiser."""
+class RoadSac(Sac):
+    """SAC over positions, which its networks see scaled: a `tom.learners.base.Policy`, too."""
 
     def __init__(self, config: SacConfig, generator: torch.Generator) -> None:
-        self._sac = Sac(OBS_DIM, ACTION_DIM, config, generator)
-        self._policy = self._sac.policy
+        super().__init__(OBS_DIM, ACTION_DIM, config, generator)
 
-    def update(self, rows: TensorTransitions) -> dict[str, Tensor]:
+    def update(self, batch: TensorTransitions) -> dict[str, Tensor]:
         """One gradient step of everything on a (B, ...) batch; metrics (1,) each."""
-        seen = replace(rows, obs=_seen(rows.obs), next_obs=_seen(rows.next_obs))
-        return self._sac.update(seen)
-
-    def state_dict(self) -> dict[str, Any]:
-        return self._sac.state_dict()
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        self._sac.load_state_dict(state)
+        return super().update(replace(batch, obs=_seen(batch.obs), next_obs=_seen(batch.next_obs)))
 
     def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
         """n sampled actions for obs (B, 2): (n, B, 2)."""
-        return self._policy(_seen(obs), n, generator)
+        return self.policy(_seen(obs), n, generator)
 
     def mean(self, obs: Tensor) -> Tensor:
         """Mean actions (B, 2) for obs (B, 2)."""
-        return self._policy.mean(_seen(obs))
+        return self.policy.mean(_seen(obs))
 
     def value_gradient(self, obs: Tensor) -> Tensor:
         """dV_k/ds of both critics at positions (B, 2): (2, B, 2)."""
-        return SPREAD * self._policy.value_gradient(_seen(obs))
+        return SPREAD * self.policy.value_gradient(_seen(obs))
 
 
 def _seen(obs: Tensor) -> Tensor:

@@ -162,6 +162,7 @@ def compared_at(cells: Sequence[Cell]) -> dict[str, float]:
     return {cell.env: cell.at for cell in cells}
 
 
-def cell_of(cells: Sequence[Cell], env: str, learner: str, variant: str = "") -> Cell | None:
-    wanted = env, learner, variant
+def cell_of(cells: Sequence[Cell], env: str, learner: str) -> Cell | None:
+    """The learner's cell of the first preset, with its settings."""
+    wanted = env, learner, ""
     return next((c for c in cells if (c.env, c.learner, c.variant) == wanted), None)
