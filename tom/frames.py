@@ -19,7 +19,7 @@ from tom.data.sampling import bin_means
 from tom.data.transitions import Transitions
 from tom.data.unpack import DAMAGE
 from tom.envs import ROAD, bring
-from tom.errors import UserError, reason, unknown
+from tom.errors import UserError, check_known, reason
 from tom.learners import WEIGHED_FIRST
 from tom.policy.stored import distances, read_policy
 from tom.record import RunReader, Store, layout
@@ -195,8 +195,7 @@ class Weighing:
         Raises UserError if the rows are not stored, or there is no such column.
         """
         of = str(self.weights.columns[0]) if of is None else of
-        if of not in self.weights:
-            raise unknown("column", of, map(str, self.weights))
+        check_known("column", [of], list(map(str, self.weights)))
         rows = self._recorded()
         names = dimension_names(str(self.report["env"]), rows, self.obs_names)
         weights = {str(name): self.weights[name].to_numpy() for name in self.weights}

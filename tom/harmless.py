@@ -22,11 +22,6 @@ def terminal(text: object) -> str:
     )
 
 
-def terminal_lines(text: object) -> str:
-    """The same, but line breaks are kept."""
-    return "\n".join(map(terminal, str(text).split("\n")))
-
-
 def markdown(text: object) -> str:
     """`text` for a line of Markdown, without HTML, links, images or table cells."""
     return _MARKDOWN.sub(r"\\\1", unlinked(" ".join(str(text).split())))

@@ -144,23 +144,20 @@ class Offline:
 
     def context(self, value_gradient: bool = False) -> FitContext:
         """The context of the learner; the footprint stands for the policy and its last steps."""
-        footprint = self.data.rows[self.data.footprint]
+        rows = self.data.rows
+        footprint = rows[self.data.footprint]
         return FitContext(
-            replay=self.data.rows,
-            policy_version=storage_order(len(self.data.rows)),
+            replay=rows,
+            policy_version=storage_order(len(rows)),
             policy_buffer=footprint,
             on_policy_steps=len(footprint),
             initial_obs=task.start_states(START_DRAWS, self.streams.torch("starts")),
             policy=clone(footprint, self.streams.torch("clone")),
             generator=self.streams.torch("weigh"),
             value_gradient=self.policy.value_gradient if value_gradient else None,
-            model_errors=self.errors_without_weights,
+            # Those of the model before any weights: the data is weighed but once.
+            model_errors=lambda: errors_of_rows(fit_linear(rows, uniform(rows, ready=True)), rows),
         )
-
-    def errors_without_weights(self) -> Tensor:
-        """Errors (N,) of the model before any weights: the data is weighed but once."""
-        rows = self.data.rows
-        return errors_of_rows(fit_linear(rows, uniform(rows, ready=True)), rows)
 
     def roll_out_model(self) -> dict[str, float]:
         """Rollouts of the policy in the model from weighted states of the data."""

@@ -20,7 +20,7 @@ from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.base import DynamicsModel
 from tom.envs import Task, task
-from tom.errors import UserError, unknown
+from tom.errors import UserError, check_known
 from tom.exams.diagnostics import errors_of_rows
 from tom.exams.energy import footprint_match, step_scaling
 from tom.learners import (
@@ -266,9 +266,8 @@ def plan_weighing(
     by = load_policy(policy, store, known, step)
     if collected_by:
         rows = with_collectors(rows, [load_policy(name, store, known) for name in collected_by])
+    check_known("learner", learners, LEARNERS)
     for learner in learners:
-        if learner not in LEARNERS:
-            raise unknown("learner", learner, LEARNERS)
         if follows_value(learner) and by.value_gradient is None:
             raise UserError(
                 f"learner {learner} follows a value function, and this policy comes without one: "
@@ -332,8 +331,7 @@ def _data(
 
 def _preset(preset: str, data: str, store: Store, env: str) -> RunConfig:
     """The settings of every learner that `preset` stands for."""
-    if preset not in PRESETS:
-        raise unknown("preset", preset, PRESETS)
+    check_known("preset", [preset], PRESETS)
     if preset == EXACT:
         return settings_type()(env=env, learner="tom", tom=TomConfig.preset(EXACT))
     if preset == OWN:

@@ -18,7 +18,7 @@ from rich.text import Text
 
 from tom import readable
 from tom.events import Evaluation, Event, Notice, Tick
-from tom.harmless import is_number, terminal, terminal_lines
+from tom.harmless import is_number, terminal
 from tom.record import RunReader, Store
 
 WIDTH = 1000  # in a file or a pipe, where a row is one line
@@ -37,7 +37,7 @@ def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> N
         table.add_column(terminal(column), justify="right" if numeric else "left", overflow="fold")
     for row in listed:
         # Text objects, because Rich would read brackets in strings as markup.
-        table.add_row(*(Text(terminal_lines(cell)) for cell in row))
+        table.add_row(*(Text("\n".join(map(terminal, cell.split("\n")))) for cell in row))
     console = Console(width=None if Console().is_terminal else WIDTH)
     # The table's own title would be wrapped to the width of the table.
     console.print(Text(terminal(title), style="italic"))

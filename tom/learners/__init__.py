@@ -19,7 +19,7 @@ from tom.config import (
     PolicyDistanceConfig,
     RunConfig,
 )
-from tom.errors import unknown
+from tom.errors import check_known
 
 if TYPE_CHECKING:
     import torch
@@ -194,6 +194,5 @@ def make_learner(
 
     Raises UserError if there is no learner of that name.
     """
-    if name not in LEARNERS:
-        raise unknown("learner", name, LEARNERS)
+    check_known("learner", [name], LEARNERS)
     return LEARNERS[name].build(config, obs_dim, action_dim, generator)

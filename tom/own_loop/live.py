@@ -26,7 +26,7 @@ from tom.data.datasets import initial_obs
 from tom.data.transitions import Transitions
 from tom.data.unpack import read_arrays
 from tom.envs import bring
-from tom.errors import TryLaterError, UserError, reason, unknown
+from tom.errors import TryLaterError, UserError, check_known, reason
 from tom.events import Event, Metrics, Notice, Tick
 from tom.exams.diagnostics import ending_metrics, weight_metrics
 from tom.exams.exam import Exam, Fitted, footprint_metrics
@@ -77,9 +77,7 @@ def weigh_live(
     At the lowest priority, in a process of its own. If it falls behind it skips, with a notice.
     Raises UserError for an unknown learner.
     """
-    for name in learners:
-        if name not in LEARNERS:
-            raise unknown("learner", name, LEARNERS)
+    check_known("learner", learners, LEARNERS)
     if every < 1:
         raise UserError(f"every {every}: weigh every so many rows, at least 1")
     log = run.path / layout.LIVE / "log.txt"

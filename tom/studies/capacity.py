@@ -14,7 +14,7 @@ from statistics import median
 import numpy as np
 from matplotlib.figure import Figure
 
-from tom.errors import UserError
+from tom.errors import UserError, check_known
 from tom.reports.figures import learner_colour, strips
 from tom.studies.frozen import ERROR, MODELS, ROLLOUT_ERROR, UNIFORM, WAYS
 from tom.studies.moments import (
@@ -27,7 +27,7 @@ from tom.studies.moments import (
     models_of,
     ratios,
 )
-from tom.studies.study import Findings, Row, check_known
+from tom.studies.study import Findings, Row
 
 TITLE = "Where weighting pays"
 CLAIM = (

@@ -36,7 +36,7 @@ from tom.dynamics import DynamicsModel
 from tom.dynamics.ending import EndingHead
 from tom.envs import Termination, task
 from tom.envs.termination import learns_ends, rule
-from tom.errors import UserError, reason
+from tom.errors import UserError, check_known, reason
 from tom.learners.base import Weighting
 from tom.policy.collect import Evaluator
 from tom.policy.rollout import mixed_batches, roll_out, start_states
@@ -69,7 +69,7 @@ from tom.studies.moments import (
     told,
     trial_of,
 )
-from tom.studies.study import Findings, Row, check_known, compute
+from tom.studies.study import Findings, Row, compute
 
 TITLE = "What weighting does for the policy"
 CLAIM = (

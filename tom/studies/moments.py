@@ -18,7 +18,7 @@ from scipy.stats import binomtest
 
 from tom.analysis.statistics import Interval, interval, mean
 from tom.envs import ENVS, ROAD, task, task_rank
-from tom.errors import UserError, reason
+from tom.errors import UserError, check_known, reason
 from tom.exams import informative
 from tom.readable import whole
 from tom.record import RunReader, Store
@@ -30,7 +30,6 @@ from tom.studies.study import (
     Row,
     add_jobs,
     add_runs,
-    check_known,
     compute,
     tasks,
 )

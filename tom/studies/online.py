@@ -15,13 +15,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tom.envs import ENVS, ROAD, task_rank
-from tom.errors import UserError
+from tom.errors import UserError, check_known
 from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader, Store
 from tom.reports.figures import Panel, profile_figure
 from tom.reports.report import origin_of_runs
 from tom.studies.returns_cells import PAPER_ENVS
-from tom.studies.study import Findings, Row, add_runs, check_known, tasks
+from tom.studies.study import Findings, Row, add_runs, tasks
 from tom.training.presets import PRESETS
 
 TITLE = "Weights as a run goes on"

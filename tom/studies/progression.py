@@ -24,6 +24,7 @@ from tom.analysis.progression import DECILES, LATE, progression, same_profile
 from tom.analysis.weighing import Weighed, weigh
 from tom.config import RunConfig, TomConfig
 from tom.envs import task
+from tom.errors import check_known
 from tom.policy.stored import NAME, UniformPolicy, read_policy
 from tom.record import RunReader
 from tom.reports.figures import Panel, profile_figure
@@ -35,7 +36,6 @@ from tom.studies.study import (
     add_recordings,
     as_the_paper_says,
     check,
-    check_known,
     compute,
     recordings,
 )

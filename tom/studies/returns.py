@@ -18,14 +18,14 @@ from tom.analysis.scores import BEST, FINAL, HEIGHT
 from tom.analysis.settings import unlike
 from tom.analysis.statistics import RANKED, remark
 from tom.envs import ENVS, task
-from tom.errors import UserError
+from tom.errors import UserError, check_known
 from tom.learners import LEARNERS
 from tom.record import Store
 from tom.reports.figures import NEUTRAL, learner_colour, new_figure
 from tom.reports.report import origin_of_runs
 from tom.studies import returns_tables as tables
 from tom.studies.returns_cells import PAPER_ENVS, Cell, all_cells, compared_at, select
-from tom.studies.study import Findings, Row, add_runs, check_known, tasks
+from tom.studies.study import Findings, Row, add_runs, tasks
 from tom.training.presets import PRESETS
 
 TITLE = "Returns of every learner"

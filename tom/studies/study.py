@@ -36,7 +36,7 @@ from tom.data.unpack import DAMAGE
 from tom.envs import bring, brought, task
 from tom.envs.termination import bring_rule, brought_rules
 from tom.envs.user_code import users_code
-from tom.errors import UserError, unknown
+from tom.errors import UserError
 from tom.machine.matmul import choose_matmul
 from tom.machine.processes import end_with_parent
 from tom.readable import in_words, whole
@@ -91,13 +91,6 @@ def add_jobs(parser: ArgumentParser) -> None:
 def tasks(names: Iterable[str]) -> list[str]:
     """The names of the tasks, each once. Raises UserError for an unknown one."""
     return list(dict.fromkeys(task(name).name for name in names))
-
-
-def check_known(kind: str, names: Iterable[str], known: Iterable[str]) -> None:
-    """Raises UserError for a name that is none of `known`."""
-    for name in names:
-        if name not in known:
-            raise unknown(kind, name, known)
 
 
 def as_the_paper_says(held: int, of: int) -> str:

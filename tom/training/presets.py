@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from tom.config import OnlineConfig, RoadConfig
 from tom.envs import ENV_NAMES, ROAD, is_known, task, unknown_task
 from tom.envs.termination import rule
-from tom.errors import UserError, invalid_value, unknown
+from tom.errors import UserError, check_known, invalid_value
 from tom.learners import LEARNERS, SUBJECT, follows_behaviour, with_own_settings
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -107,11 +107,9 @@ def resolve(
     """
     if not is_known(env):
         raise unknown_task(env, ENV_NAMES)
-    if learner not in learners(env):
-        raise unknown("learner", learner, learners(env))
+    check_known("learner", [learner], learners(env))
     preset = preset or default_preset(env, learner)
-    if preset not in PRESETS:
-        raise unknown("preset", preset, PRESETS)
+    check_known("preset", [preset], PRESETS)
     if env == ROAD:
         config = RoadConfig(learner=learner).but(**OF_ROAD.get(preset, {}))
     else:
