@@ -40,9 +40,8 @@ FETCHED_ANEW = "fetched; what was here, perhaps another run, is in the trash"
 class Bucket:
     """The objects below a URL, by relative names. All methods except `open` raise OSError."""
 
-    def __init__(self, files: fs.FileSystem, base: str, url: str) -> None:
+    def __init__(self, files: fs.FileSystem, url: str) -> None:
         self._files = files
-        self._base = base
         self.url = url
 
     @classmethod
@@ -62,39 +61,36 @@ class Bucket:
             raise UserError(f"{url}: cannot reach the bucket: {reason(error)}") from error
         if kind is fs.FileType.NotFound:
             raise UserError(f"{url}: there is no bucket '{name}' (or these credentials see none)")
-        return cls(files, f"{name}/{prefix}" if prefix else name, url.rstrip("/"))
+        below = fs.SubTreeFileSystem(f"{name}/{prefix}" if prefix else name, files)
+        return cls(below, url.rstrip("/"))
 
     def names(self, folder: str = "") -> list[str]:
         """The names of all objects below `folder`, sorted."""
-        below = fs.FileSelector(self._path(folder), allow_not_found=True, recursive=True)
+        below = fs.FileSelector(folder, allow_not_found=True, recursive=True)
         infos = self._files.get_file_info(below)
-        start = len(self._base) + 1
-        return sorted(one.path[start:] for one in infos if one.type is fs.FileType.File)
+        return sorted(one.path for one in infos if one.type is fs.FileType.File)
 
     def folders(self, folder: str = "") -> list[str]:
         """The names of the folders directly below `folder`, sorted."""
-        below = fs.FileSelector(self._path(folder), allow_not_found=True)
+        below = fs.FileSelector(folder, allow_not_found=True)
         infos = self._files.get_file_info(below)
         return sorted(one.base_name for one in infos if one.type is fs.FileType.Directory)
 
     def read(self, name: str) -> bytes:
         """The content of an object. Raises FileNotFoundError if it does not exist."""
-        with self._files.open_input_stream(self._path(name)) as stream:
+        with self._files.open_input_stream(name) as stream:
             return stream.read()
 
     def write(self, name: str, content: bytes) -> None:
         """Put an object; it appears whole or not at all."""
-        with self._files.open_output_stream(self._path(name)) as stream:
+        with self._files.open_output_stream(name) as stream:
             stream.write(content)
 
     def remove(self, names: Iterable[str]) -> None:
         """Delete objects; missing ones are ignored."""
         for name in names:
             with suppress(FileNotFoundError):
-                self._files.delete_file(self._path(name))
-
-    def _path(self, name: str) -> str:
-        return f"{self._base}/{name}" if name else self._base
+                self._files.delete_file(name)
 
 
 def _connect(bucket: str) -> fs.S3FileSystem:
