@@ -66,7 +66,7 @@ def import_metrics(
         last, given = int(table.index[-1]), {"imported": path.name}
         settings = OwnLoopConfig(env=known.name, steps=max(last, 1), own=given)
         chosen = returned or next((metric for metric in RETURNS if metric in table), "")
-        with opened(place, run_id, settings)[0] as recorder:
+        with opened(place, run_id, settings) as recorder:
             # Steps before that of the status have no time: theirs is not known.
             recorder.consume(Tick(last + 1, "import"))
             for step, values in table.rename(columns={chosen: "eval/return"}).iterrows():

@@ -104,7 +104,7 @@ class _Live:
         until, place = time.monotonic() + WAIT_S, Store(source.path / layout.LIVE)
         while True:  # the process of a loop that was killed may still weigh its last buffer
             try:
-                self.recorder, _ = opened(place, learner, self.config, "auto", began_at)
+                self.recorder = opened(place, learner, self.config, "auto", began_at)
                 break
             except TryLaterError:
                 if time.monotonic() > until:

@@ -40,7 +40,7 @@ def opened(
     settings: OwnLoopConfig,
     resume: Literal["auto"] | None = None,
     step: int | None = None,
-) -> tuple[Recorder, RunWriter]:
+) -> Recorder:
     """The record of a new run, or of one that goes on at `step` (None: where it ended)."""
     path, command = store.resolve(name), shlex.join(sys.argv)
     if not (resume and path.exists()):
@@ -50,7 +50,7 @@ def opened(
             raise TakenError(f'{error}, or go on with it: resume="auto"') from None
         if settings.learner == OWN_LOOP:
             label(store, name, name=name)
-        return Recorder(writer), writer
+        return Recorder(writer)
     run = store.run(name)
     same = {"env": settings.env, "learner": settings.learner}
     if not run.own_loop or any(run.config.get(part) != value for part, value in same.items()):
@@ -62,7 +62,7 @@ def opened(
     except BaseException:
         writer.close()
         raise
-    return Recorder(writer, mark=mark), writer
+    return Recorder(writer, mark=mark)
 
 
 def cut_back(writer: RunWriter, step: int | None = None) -> dict[str, Any]:

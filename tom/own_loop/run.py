@@ -120,8 +120,8 @@ class OwnRun:
             settings = OwnLoopConfig(env=known.name, learner=OWN_LOOP, **chosen)
         except ValidationError as error:
             raise UserError(invalid_value(error)) from None
-        self._recorder, self._writer = opened(place, name, settings, resume, step)
-        self.name, self.path, self.closed = name, self._writer.path, False
+        self._recorder = opened(place, name, settings, resume, step)
+        self.name, self.path, self.closed = name, self._recorder.writer.path, False
         numbers = RunReader(self.path).buffer()[1]
         handed = int(numbers.max(initial=0)) if step is None or not len(numbers) else step
         self._known, self._strict = known, strict
@@ -370,7 +370,7 @@ class OwnRun:
         self._episodes = step, [*(earlier if at == step else ()), *episodes]
         if self._returned == step:  # the caller's own number counts
             arrays = decode.episode_arrays(self._episodes[1])
-            self._writer.arrays(layout.episodes(step), arrays)
+            self._recorder.writer.arrays(layout.episodes(step), arrays)
         else:
             self._recorder.consume(Evaluation(*self._episodes))
 

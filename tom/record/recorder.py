@@ -63,7 +63,7 @@ class Recorder:
         """`mark` is the result of `Recorder.mark` at the checkpoint from which the run resumes."""
         resumed: Mapping[str, Any] = mark or {}
         config, step = writer.config, resumed.get("env_step", 0)
-        self._writer = writer
+        self.writer = writer
         self.run_id = writer.run_id
         self._config = config
         self._sink = sink
@@ -116,7 +116,7 @@ class Recorder:
             "checkpoint_s": self._checkpoint_s,
             "next_snapshot": self._next_snapshot,
             "returns": (self.status.last_return, self.status.best_return),
-            "files": self._writer.mark(),
+            "files": self.writer.mark(),
         }
 
     def save(self, state: Mapping[str, Any]) -> None:
@@ -125,7 +125,7 @@ class Recorder:
         If it does not fit the disk, the last one stays and a notice says so. Raises LostError if
         another writer has taken the run over.
         """
-        begun, folder = time.perf_counter(), self._writer.path / checkpoint.FOLDER
+        begun, folder = time.perf_counter(), self.writer.path / checkpoint.FOLDER
         step = self.status.env_step
         config = self._config.model_dump(mode="json")
         try:
@@ -155,16 +155,16 @@ class Recorder:
             case Evaluation():
                 self._evaluation(event)
             case Collected():
-                self._writer.rows(event)
+                self.writer.rows(event)
             case Field():
-                self._writer.arrays(layout.field(event.name, event.env_step), event.arrays)
+                self.writer.arrays(layout.field(event.name, event.env_step), event.arrays)
             case Notice():
                 self._warn(event.kind, event.env_step, event.message)
-                self._writer.notice(event.env_step, event.kind, event.message)
+                self.writer.notice(event.env_step, event.kind, event.message)
             case KeptPolicy():
-                self._writer.arrays(layout.policy(event.env_step), event.arrays)
+                self.writer.arrays(layout.policy(event.env_step), event.arrays)
             case TrainedPolicy():
-                self._writer.arrays(layout.POLICY, event.arrays)
+                self.writer.arrays(layout.POLICY, event.arrays)
         self._record_s += time.perf_counter() - begun
 
     def beat(self) -> None:
@@ -183,7 +183,7 @@ class Recorder:
                 env_steps_per_s=rate,
                 eta_s=left / rate if rate else None,
             )
-            self._writer.status(self.status)
+            self.writer.status(self.status)
 
     def finish(self, state: State, reason: str = "") -> None:
         """End the run: write the final status and the Parquet copy of the metrics, close all files.
@@ -198,10 +198,10 @@ class Recorder:
         try:
             self._write_row()
             if lost := self._sink.close() if self._sink else None:
-                self._writer.notice(self.status.env_step, "rerun", lost)
-            self._writer.metrics_table()
+                self.writer.notice(self.status.env_step, "rerun", lost)
+            self.writer.metrics_table()
             if state == "finished":
-                self._writer.digests()
+                self.writer.digests()
         except OSError as error:
             if state == "finished":
                 state, reason = "failed", self._why(error)
@@ -216,10 +216,10 @@ class Recorder:
                 env_steps_per_s=self.status.env_step / seconds if seconds > 0 else None,
             )
             try:
-                self._writer.status(self.status)
+                self.writer.status(self.status)
             except OSError as error:  # not even the status fits: readers will show the run as dead
                 _log.error("%s %s (%s), and no status can be written", self.run_id, state, error)
-            self._writer.close()
+            self.writer.close()
 
     def __enter__(self) -> Self:
         return self
@@ -298,19 +298,19 @@ class Recorder:
             if now > then and step > step_then:
                 values["time/env_steps_per_s"] = (step - step_then) / (now - then)
                 self._last_row = (now, step)
-        self._writer.append(layout.METRICS, {"env_step": step, **values})
+        self.writer.append(layout.METRICS, {"env_step": step, **values})
 
     def _weights(self, weights: Weights) -> None:
         step, parts, total = weights.env_step, self._config.snapshots, self._config.total_steps
-        self._writer.profile(weights, self._config.bins)
+        self.writer.profile(weights, self._config.bins)
         chosen = step >= self._next_snapshot
         if chosen:  # next, the first step of the next of `snapshots` equal parts of the run
             self._next_snapshot = -(-(step * parts // total + 1) * total // parts)
-        self._writer.snapshot(weights, keep=chosen)
+        self.writer.snapshot(weights, keep=chosen)
 
     def _evaluation(self, evaluation: Evaluation) -> None:
         step, episodes = evaluation.env_step, evaluation.episodes
-        self._writer.arrays(layout.episodes(step), decode.episode_arrays(episodes))
+        self.writer.arrays(layout.episodes(step), decode.episode_arrays(episodes))
         if not episodes:
             return
         returns = np.array([episode.undiscounted_return for episode in episodes])

@@ -91,7 +91,7 @@ def resume(
     with Recorder(writer, sink, mark=mark) as recorder:
         writer.resumed(config, options.get("command", ""))
         before = [Notice(saved.env_step, kind, text) for kind, text in notices if text]
-        record(training, watch, recorder, writer, options, before)
+        record(training, watch, recorder, options, before)
     return RunReader(writer.path)
 
 

@@ -105,7 +105,7 @@ def train(
     sink = RerunSink(writer.path) if options.get("rerun", True) else None
     with Recorder(writer, sink) as recorder:
         training = make_training(config)
-        record(training, make_watch(config, training), recorder, writer, options)
+        record(training, make_watch(config, training), recorder, options)
     return RunReader(writer.path)
 
 
@@ -113,7 +113,6 @@ def record(
     training: Training,
     watch: Watch,
     recorder: Recorder,
-    writer: RunWriter,
     options: RecordingOptions,
     before: Sequence[Notice] = (),
 ) -> None:
@@ -121,6 +120,7 @@ def record(
 
     `before` are events that come first. A watcher whose terminal or pipe is closed is dropped.
     """
+    writer = recorder.writer
     every, total = writer.config.checkpoint_every, writer.config.total_steps
     watchers, stop = list(options.get("watchers", ())), options.get("stop")
     for event in chain(before, watch.over(training.events())):
