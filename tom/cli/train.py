@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from functools import partial
 from typing import Any, TextIO
 
 from pydantic import ValidationError
@@ -144,8 +145,7 @@ def _train_many(args: argparse.Namespace, settings: dict[str, Any]) -> int:
 
 def record(config: AnyConfig, args: argparse.Namespace) -> int:
     """Train `config` with the options of `add_run_options`; returns the exit code."""
-    store = Store(args.store)
-    return _watched(args, config, lambda **options: train(config, store, args.run_id, **options))
+    return _watched(args, config, partial(train, config, Store(args.store), args.run_id))
 
 
 def resume_run(args: argparse.Namespace, run_id: str, steps: str | int | None) -> int:
@@ -158,12 +158,8 @@ def resume_run(args: argparse.Namespace, run_id: str, steps: str | int | None) -
         except ValidationError as error:
             raise one_line(error) from None
     last = None if steps is None else config.steps
-    accepted = args.accept_versions
-    return _watched(
-        args,
-        config,
-        lambda **options: resume(store, run_id, last, accept_versions=accepted, **options),
-    )
+    going_on = partial(resume, store, run_id, last, accept_versions=args.accept_versions)
+    return _watched(args, config, going_on)
 
 
 @contextmanager

@@ -34,6 +34,7 @@ from tom.policy.collect import footprint
 from tom.policy.stored import StoredPolicy, read_policy
 from tom.record import RunReader, layout
 from tom.rng import Streams
+from tom.spread import spread
 from tom.studies.study import Row, say
 from tom.training.presets import resolve
 
@@ -110,9 +111,7 @@ def moments(run: RunReader, most: int) -> list[int]:
     """At most `most` fits, evenly spread, whose policy was stored, after the policy was in use."""
     first = sac_begins(run) + NEWEST
     steps = [step for step in run.policy_steps() if step >= first]
-    if len(steps) <= most:
-        return steps
-    return [steps[round(i)] for i in np.linspace(0, len(steps) - 1, most)]
+    return [steps[i] for i in spread(len(steps), most)]
 
 
 def sac_begins(run: RunReader) -> float:

@@ -20,6 +20,7 @@ from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader, Store
 from tom.reports.figures import Panel, profile_figure
 from tom.reports.report import origin_of_runs
+from tom.spread import spread
 from tom.studies.returns_cells import PAPER_ENVS
 from tom.studies.study import Findings, Row, add_runs, tasks
 from tom.training.presets import PRESETS
@@ -83,8 +84,7 @@ def panels(runs: Sequence[RunReader], preset: str) -> list[RunProfiles]:
         fits = run.profiles()
         weighed = np.flatnonzero((fits.ess < UNIFORM) & np.isfinite(fits.bins).any(1))
         if len(weighed):
-            at = np.linspace(0, len(weighed) - 1, min(STEPS, len(weighed))).round()
-            at = weighed[at.astype(int)]
+            at = weighed[spread(len(weighed), STEPS)]
             found.append(RunProfiles(run, fits.env_step[at], fits.bins[at], fits.ess[at]))
     return found
 

@@ -140,9 +140,8 @@ def recordings(args: Namespace, seeds: list[int] | None = None) -> list[RunReade
 
 def recorded(store: Store, config: SacRecordingConfig) -> RunReader | None:
     """The newest finished recording with these settings, as far as it has them, or None."""
-    counted = ("env", "seed", "steps", "exploration_steps", "updates_per_step", "sac")
-    ours = in_words(config.model_dump(mode="json")).items()
-    ours = [(path, words) for path, words in ours if path.partition(".")[0] in counted]
+    counted = {"env", "seed", "steps", "exploration_steps", "updates_per_step", "sac"}
+    ours = in_words(config.model_dump(mode="json", include=counted)).items()
     finished = (
         run
         for run in store.runs()

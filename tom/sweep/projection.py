@@ -57,7 +57,7 @@ def cost(trial: Trial, runs: Sequence[RunReader], done: int = 0) -> Cost | None:
 
 def steps_to_train(trial: Trial, done: int) -> int:
     """Env steps after exploration that remain for a run that is resumed at step `done`."""
-    begun = max(done, trial.settings.get("exploration_steps", 0))
+    begun = max(done, getattr(trial.config, "exploration_steps", 0))
     return max(trial.config.total_steps - begun, 0)
 
 

@@ -49,14 +49,9 @@ class Trial:
         return resolve(self.env, self.learner, self.preset, {**self.overrides, "seed": self.seed})
 
     @cached_property
-    def settings(self) -> dict[str, Any]:
-        """The configuration as stored in a run folder."""
-        return self.config.model_dump(mode="json")
-
-    @cached_property
     def run_id(self) -> str:
         """Depends only on the settings, so that a repeated sweep finds the run again."""
-        text = json.dumps(self.settings, sort_keys=True).encode()
+        text = json.dumps(self.config.model_dump(mode="json"), sort_keys=True).encode()
         digest = hashlib.sha256(text).hexdigest()[:8]
         return run_name(self.env, self.learner, self.seed, digest)
 

@@ -9,6 +9,7 @@ from common import one_line
 from tom.cli import Parser
 from tom.cli.parser import overrides
 from tom.cli.train import add_parser
+from tom.config import OnlineConfig
 from tom.record import Store
 from tom.record.export import export_small
 from tom.record.writer import RunWriter
@@ -55,9 +56,10 @@ def test_numbers_are_numbers_as_in_yaml_1_2(tmp_path: Path):
         "env: hopper\nlearner: tom\nsteps: 4000\nsettings: {sac: {lr: 1e-4}, model: {hidden: 32}}\n"
     )
     (trial,) = trials(plan_of(text, tmp_path))
-    assert trial.settings["sac"]["lr"] == 1e-4
-    assert trial.settings["model"]["hidden"] == 32
-    assert trial.settings["steps"] == 4000
+    assert isinstance(trial.config, OnlineConfig)
+    assert trial.config.sac.lr == 1e-4
+    assert trial.config.model.hidden == 32
+    assert trial.config.steps == 4000
 
 
 def test_the_words_of_a_trial_make_the_same_training(tmp_path: Path):
@@ -71,7 +73,7 @@ def test_the_words_of_a_trial_make_the_same_training(tmp_path: Path):
     add_parser(parser.add_subparsers(), words)
     args = parser.parse_args(words)
     config = resolve(args.env, args.learner[0], args.preset, overrides(args))
-    assert config.model_dump(mode="json") == trial.settings
+    assert config == trial.config
 
 
 @pytest.mark.parametrize(
