@@ -6,7 +6,6 @@ Markdown.
 
 import argparse
 import io
-import json
 from contextlib import redirect_stdout
 from dataclasses import asdict
 from pathlib import Path
@@ -16,7 +15,7 @@ import torch
 
 from tom import readable
 from tom.cli import hand_over
-from tom.cli.output import show_rows
+from tom.cli.output import put_out, show_rows
 from tom.cli.parser import add_json
 from tom.cli.runs import list_runs
 from tom.errors import UserError, reason
@@ -74,12 +73,7 @@ def run(args: argparse.Namespace) -> int:
     tables = MEASUREMENTS[args.what](args)
     if args.into is not None:
         put(args.into, tables)
-    if args.json:
-        print(json.dumps(tables))
-    else:
-        for title, rows in tables.items():
-            show_rows(title, rows)
-    return 0
+    return put_out(args, tables, lambda: [show_rows(*table) for table in tables.items()])
 
 
 def put(path: Path, tables: Tables) -> None:

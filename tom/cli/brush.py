@@ -1,7 +1,6 @@
 """`tom brush`: refit the model with a region of the buffer counting more or less."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from time import perf_counter
@@ -15,6 +14,7 @@ from tom.analysis import brush
 from tom.analysis.brush import FACTORS, SMALL, BrushedFit
 from tom.analysis.ordered_data import find_run, of_run
 from tom.analysis.weighing import load_policy, made_anew
+from tom.cli.output import put_out
 from tom.cli.parser import add_json, add_store, one_line
 from tom.data.unpack import DAMAGE
 from tom.envs import scene, task
@@ -115,8 +115,7 @@ def run(args: argparse.Namespace) -> int:
     ghosts = _ghosts(reader, models, args.step)
     out = args.out or store.new_weighing(name)
     weighing_files.write_brush(out, region, models, report, ghosts)
-    print(json.dumps({"out": str(out)}) if args.json else out)
-    return 0
+    return put_out(args, {"out": str(out)}, [str(out)])
 
 
 def _region(path: Path, reader: RunReader, step: int, count: int) -> NDArray[np.bool_]:

@@ -5,7 +5,6 @@ store and removed again.
 """
 
 import argparse
-import json
 import os
 import platform
 import shutil
@@ -18,7 +17,7 @@ from typing import Literal, NamedTuple
 import torch
 from packaging.requirements import Requirement
 
-from tom.cli.output import show
+from tom.cli.output import put_out, show
 from tom.cli.parser import add_json, add_store
 from tom.errors import reason
 from tom.machine import memory
@@ -53,11 +52,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 def run(args: argparse.Namespace) -> int:
     findings = [{"check": name, **check(name, args.store)._asdict()} for name in CHECKS]
     bad = sum(found["state"] == "bad" for found in findings)
-    if args.json:
-        print(json.dumps(findings))
-    else:
-        rows = [list(found.values()) for found in findings]
-        show(f"{bad} things to mend" if bad else "ready", ("check", "is", "found", "fix"), rows)
+    rows = [list(found.values()) for found in findings]
+    title = f"{bad} things to mend" if bad else "ready"
+    put_out(args, findings, lambda: show(title, ("check", "is", "found", "fix"), rows))
     return 1 if bad else 0
 
 

@@ -4,9 +4,11 @@ Tables are as wide as the terminal, or in full width elsewhere. Progress is a pi
 redrawn on a terminal, and plain lines elsewhere.
 """
 
+import json
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from argparse import Namespace
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from time import monotonic
 from typing import Any, Self, TextIO
 
@@ -20,6 +22,7 @@ from tom import readable
 from tom.events import Evaluation, Event, Notice, Tick
 from tom.harmless import is_number, terminal
 from tom.record import RunReader, Store
+from tom.record.files import plain
 
 WIDTH = 1000  # in a file or a pipe, where a row is one line
 PICTURE_EVERY_S = 1.0
@@ -59,6 +62,18 @@ def fitting(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
             break
         kept.append(name)
     return [{name: row[name] for name in kept} for row in rows]
+
+
+def put_out(args: Namespace, content: object, shown: Iterable[str] | Callable[[], object]) -> int:
+    """Print `content` as JSON if that is asked for, else the lines `shown`, or by it; returns 0."""
+    if args.json:
+        print(json.dumps(plain(content), allow_nan=False))
+    elif callable(shown):
+        shown()
+    else:
+        for line in shown:
+            print(terminal(line))
+    return 0
 
 
 def print_problems(store: Store) -> None:

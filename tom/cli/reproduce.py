@@ -4,7 +4,6 @@ A study says what is computed and found (tom/studies); here are its progress, it
 what is printed, and the exit code.
 """
 
-import json
 import signal
 import sys
 import time
@@ -19,7 +18,7 @@ from typing import Any
 from matplotlib import rc_context
 from pydantic import ValidationError
 
-from tom.cli.output import fitting, show_rows
+from tom.cli.output import fitting, put_out, show_rows
 from tom.cli.parser import add_json, folder, one_line
 from tom.cli.train import followed
 from tom.config import SacRecordingConfig
@@ -27,7 +26,6 @@ from tom.errors import DivergedError
 from tom.machine.processes import on_stopping
 from tom.readable import whole
 from tom.record import RunReader, Store
-from tom.record.files import plain
 from tom.reports.figures import STYLE, save
 from tom.reports.report import origin, write_csv, write_report
 from tom.studies import (
@@ -128,16 +126,16 @@ def _run(study: ModuleType, args: Namespace) -> int:
     )
     made = origin() | {"hours": hours} | dict(found.origin)
     write_report(args.out, study.TITLE, study.CLAIM, verdict, pictures, tables, made)
-    if args.json:
-        content |= {"verdict": verdict, "out": str(args.out)}
-        print(json.dumps(plain(content), allow_nan=False))
-        return 1 if failed else 0
-    for title, rows in tables:
-        if 0 < len(rows) <= LONG or title == "Acceptance":
-            show_rows(title, fitting(rows))
-        elif rows:
-            print(f"{title}: in the report")
-    print("\n".join([*verdict, str(args.out)]))
+
+    def shown() -> None:
+        for title, rows in tables:
+            if 0 < len(rows) <= LONG or title == "Acceptance":
+                show_rows(title, fitting(rows))
+            elif rows:
+                print(f"{title}: in the report")
+        print("\n".join([*verdict, str(args.out)]))
+
+    put_out(args, content | {"verdict": verdict, "out": str(args.out)}, shown)
     return 1 if failed else 0
 
 

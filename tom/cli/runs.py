@@ -1,21 +1,19 @@
 """`tom runs`: list and manage the runs of a store."""
 
 import argparse
-import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from tom import readable
-from tom.cli.output import print_problems, show, summary
+from tom.cli.output import print_problems, put_out, show, summary
 from tom.cli.parser import add_json, add_store, folder
 from tom.errors import UserError
 from tom.harmless import terminal
 from tom.readable import flat, score, short, whole
 from tom.record import RunReader, Store, manage
 from tom.record.export import EXPORTERS, export, export_small
-from tom.record.files import plain
 from tom.record.layout import RUN_ID
 from tom.record.thin import OPTIONAL, SERIES
 
@@ -65,20 +63,6 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         added.set_defaults(run=run)
 
 
-def _output(
-    args: argparse.Namespace, content: object, shown: Iterable[str] | Callable[[], None]
-) -> int:
-    """Print `content` as JSON if that is asked for, else the lines `shown`, or by it; returns 0."""
-    if args.json:
-        print(json.dumps(content, allow_nan=False))
-    elif callable(shown):
-        shown()
-    else:
-        for line in shown:
-            print(terminal(line))
-    return 0
-
-
 def _chosen(store: Store, run_ids: Sequence[str], *, finished: bool = False) -> list[RunReader]:
     """The named runs, each once, or all, or all that are `finished`; prints what cannot be read.
 
@@ -125,7 +109,7 @@ def list_runs(args: argparse.Namespace) -> int:
     }
     filled = {name: cells for name, cells in columns.items() if any(cells) or name == "run"}
     title, cells = f"{len(rows)} runs in {args.store}", zip(*filled.values(), strict=True)
-    return _output(args, rows, lambda: show(title, list(filled), cells))
+    return put_out(args, rows, lambda: show(title, list(filled), cells))
 
 
 def _row(run: RunReader) -> dict[str, Any]:
@@ -148,7 +132,7 @@ def show_run(args: argparse.Namespace) -> int:
 
     row, card = {**_row(run), "note": run.labels.note}, card_of(run)
     if args.json:
-        return _output(args, {**row, "description": run.config, "card": plain(card)}, ())
+        return put_out(args, {**row, "description": run.config, "card": card}, ())
     row["state"] = run.shown
     del row["small_copy"]  # the state says so
     described = {**row, "reason": run.status.reason, **flat(run.config)}
@@ -185,7 +169,7 @@ def diff(args: argparse.Namespace) -> int:
     values = {name: [first.get(name), second.get(name)] for name in names}
     rows = [(name, *map(_text, both)) for name, both in values.items()]
     title, columns = f"{len(rows)} differences", ("what", args.first, args.second)
-    return _output(args, values, lambda: show(title, columns, rows))
+    return put_out(args, values, lambda: show(title, columns, rows))
 
 
 def _text(value: Any) -> str:
@@ -216,7 +200,7 @@ def label(args: argparse.Namespace) -> int:
     labels = manage.label(Store(args.store), args.run_id, **given)
     tags = f" [{', '.join(labels.tags)}]" if labels.tags else ""
     first = f"{args.run_id}: {labels.name or 'no name'}{tags}"
-    return _output(args, asdict(labels), [first, *labels.note.splitlines()])
+    return put_out(args, asdict(labels), [first, *labels.note.splitlines()])
 
 
 @verb("trash", "move runs into the store's .trash/, or list what is there", ANY)
@@ -225,15 +209,15 @@ def trash(args: argparse.Namespace) -> int:
     store.ensure_there()
     if not args.run_ids:
         trashed = manage.trashed(store)
-        return _output(args, trashed, trashed or ["nothing"])
+        return put_out(args, trashed, trashed or ["nothing"])
     places = [str(place) for place in manage.trash(store, *args.run_ids)]
-    return _output(args, places, places)
+    return put_out(args, places, places)
 
 
 @verb("restore", "move runs back out of the trash", SOME)
 def restore(args: argparse.Namespace) -> int:
     places = [str(place) for place in manage.restore(Store(args.store), *args.run_ids)]
-    return _output(args, places, places)
+    return put_out(args, places, places)
 
 
 # Files
@@ -248,7 +232,7 @@ def verify(args: argparse.Namespace) -> int:
     bad = sum(map(bool, problems.values()))
     lines = [f"{run_id}: {text}" for run_id, texts in problems.items() for text in texts]
     lines.append(f"{len(problems)} runs read, {bad} with problems")
-    _output(args, {"runs": problems, "store": store.problems}, lines)
+    put_out(args, {"runs": problems, "store": store.problems}, lines)
     return 1 if bad or store.problems else 0
 
 
@@ -261,7 +245,7 @@ def repair(args: argparse.Namespace) -> int:
     lines = [
         f"{name}: {line}" for name, done in repairs.items() for line in done or ["nothing to mend"]
     ]
-    return _output(args, repairs, lines)
+    return put_out(args, repairs, lines)
 
 
 @verb(
@@ -312,7 +296,7 @@ def export_runs(args: argparse.Namespace) -> int:
     else:
         made = [export(run, args.format or "csv", args.out) for run in runs]
     paths = list(map(str, made))
-    return _output(args, paths, paths)
+    return put_out(args, paths, paths)
 
 
 @verb("index", "write the store's README.md: its small copies, and how each was made")
@@ -322,7 +306,7 @@ def index(args: argparse.Namespace) -> int:
     store = Store(args.store)
     path = str(page.write(store))
     print_problems(store)
-    return _output(args, path, [path])
+    return put_out(args, path, [path])
 
 
 @verb("size", "what runs [all] take on the disk, in MB", ANY)
@@ -335,7 +319,7 @@ def size(args: argparse.Namespace) -> int:
     ]
     total = readable.size(sum(sum(of.values()) for of in parts.values()))
     title, columns = f"{total} in {len(rows)} runs", ("run", *manage.PARTS, "all")
-    return _output(args, parts, lambda: show(title, columns, rows))
+    return put_out(args, parts, lambda: show(title, columns, rows))
 
 
 @verb(
@@ -351,7 +335,7 @@ def prune(args: argparse.Namespace) -> int:
     freed = {name: count for name, count in counts.items() if count}
     would = "would free" if args.dry_run else "freed"
     lines = [f"{name}: {would} {readable.size(count)}" for name, count in freed.items()]
-    return _output(args, freed, [*lines, f"{would} {readable.size(sum(freed.values()))} in all"])
+    return put_out(args, freed, [*lines, f"{would} {readable.size(sum(freed.values()))} in all"])
 
 
 @verb(
@@ -371,7 +355,7 @@ def import_runs(args: argparse.Namespace) -> int:
     from tom.own_loop.imported import import_metrics  # tasks take a second to import
 
     made = import_metrics(args.path, args.env, args.store, args.name, args.returned)
-    return _output(args, made, made)
+    return put_out(args, made, made)
 
 
 @verb(
@@ -396,4 +380,4 @@ def fetch(args: argparse.Namespace) -> int:
                 print(terminal(f"{run_id} {done[run_id]}"), flush=True)
     except OSError as error:
         raise UserError(f"{args.url}: {error}") from error
-    return _output(args, done, ())
+    return put_out(args, done, ())

@@ -1,7 +1,6 @@
 """`tom train`: one training, or one for each learner and seed, each in its own run folder."""
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -11,7 +10,7 @@ from typing import Any, TextIO
 
 from pydantic import ValidationError
 
-from tom.cli.output import ProgressReport, summary
+from tom.cli.output import ProgressReport, put_out, summary
 from tom.cli.parser import (
     add_run_options,
     add_training_options,
@@ -114,7 +113,7 @@ def begin(config: AnyConfig, args: argparse.Namespace) -> int:
     if there and beyond is None:
         return record(config, args)  # refused: another training has the name
     if is_done(config, run):
-        _print_summary(run, args.json)
+        _print_summary(run, args)
         return 0
     try:
         if unfinished(store, config, run_id=run.run_id):
@@ -195,7 +194,7 @@ def _watched(
                 raise
             print(f"{label}: failed: {out_of_memory(error)}", file=sys.stderr)
             return FAILED
-    _print_summary(done, args.json)
+    _print_summary(done, args)
     return 0 if done.status.state == "finished" else FAILED
 
 
@@ -227,18 +226,16 @@ def _new_steps(args: argparse.Namespace, settings: dict[str, Any]) -> str | None
     return settings.get("steps")
 
 
-def _print_summary(run: RunReader, as_json: bool) -> None:
+def _print_summary(run: RunReader, args: argparse.Namespace) -> None:
     row = summary(run)
     row["bytes"] = size_of(run.path)
     row["checkpoint_bytes"] = size_of(run.path / checkpoint.FOLDER)
-    if as_json:
-        print(json.dumps(row))
-        return
-    print(
+    card = {} if args.json else card_of(run)
+    shown = [
         f"{row['run_id']}: {row['state']} after {row['env_step']} steps, last return "
-        f"{score(row['last_return'])}, best {score(row['best_return'])}: {terminal(row['path'])}"
-    )
-    if card := card_of(run):
-        print(sentence(card))
-    if run.status.state == "failed":
+        f"{score(row['last_return'])}, best {score(row['best_return'])}: {row['path']}",
+        *([sentence(card)] if card else []),
+    ]
+    put_out(args, row, shown)
+    if run.status.state == "failed" and not args.json:
         print(f"failed: {terminal(run.status.reason)}", file=sys.stderr)

@@ -1,7 +1,6 @@
 """`tom weigh`: each learner's weights for recorded data, given a policy of interest."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from time import perf_counter
@@ -12,7 +11,7 @@ from pydantic import ValidationError
 
 from tom import readable
 from tom.analysis.weighing import POLICIES, Weighed, plan_weighing, setting_groups, settings_type
-from tom.cli.output import ProgressReport, show
+from tom.cli.output import ProgressReport, put_out, show
 from tom.cli.parser import (
     add_config_options,
     add_json,
@@ -28,7 +27,6 @@ from tom.learners import LEARNERS, WEIGHED_FIRST
 from tom.machine.matmul import choose_matmul
 from tom.readable import whole
 from tom.record import Store
-from tom.record.files import plain
 from tom.record.versions import command
 from tom.reports import weighing_files
 
@@ -121,11 +119,7 @@ def run(args: argparse.Namespace) -> int:
     weighing_files.write(out, plan.data, weighed, args.bins, report)
     for notice in weighing_files.notices(report):
         print(notice, file=sys.stderr)
-    if args.json:
-        print(json.dumps(plain({**report, "out": str(out)}), allow_nan=False))
-    else:
-        _print(report, out)
-    return 0
+    return put_out(args, {**report, "out": str(out)}, lambda: _print(report, out))
 
 
 def _print(report: dict[str, Any], out: Path) -> None:
