@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from typing import Any, NoReturn
 
 from tom import __version__, plugins
-from tom.errors import UserError, reason
+from tom.errors import BAD_INPUT, UserError, reason
 from tom.harmless import terminal
 
 COMMANDS = {
@@ -77,6 +77,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except UserError as error:
         print(f"tom: {terminal(error)}", file=sys.stderr)
         return error.exit_code
+    except ValueError as error:
+        from pydantic import ValidationError  # imported by then, if it is one
+
+        if not isinstance(error, ValidationError):
+            raise
+        from tom.cli.parser import one_line
+
+        print(f"tom: {terminal(one_line(error))}", file=sys.stderr)
+        return BAD_INPUT
     except BrokenPipeError:
         # Nobody reads stdout any more: flushing its buffer at exit would raise an error.
         with suppress(OSError, ValueError):

@@ -8,14 +8,13 @@ from time import perf_counter
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from tom.analysis import brush
 from tom.analysis.brush import FACTORS, SMALL, BrushedFit
 from tom.analysis.ordered_data import find_run, of_run
 from tom.analysis.weighing import load_policy, made_anew
 from tom.cli.output import put_out
-from tom.cli.parser import add_json, add_store, one_line
+from tom.cli.parser import add_json, add_store
 from tom.data.unpack import DAMAGE
 from tom.envs import scene, task
 from tom.errors import UserError, reason
@@ -64,10 +63,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 def run(args: argparse.Namespace) -> int:
     for factor in args.factors:
         brush.check_factor(factor)
-    try:
-        config = SMALL.but(hidden=args.hidden, layers=args.layers)
-    except ValidationError as error:
-        raise one_line(error) from None
+    config = SMALL.but(hidden=args.hidden, layers=args.layers)
     torch.set_num_threads(1)
     choose_matmul("default")
     store = Store(args.store)

@@ -2,9 +2,7 @@
 
 import argparse
 
-from pydantic import ValidationError
-
-from tom.cli.parser import add_config_options, add_run_options, leaf_fields, one_line, overrides
+from tom.cli.parser import add_config_options, add_run_options, leaf_fields, overrides
 from tom.cli.train import OWN_OPTIONS, begin
 from tom.config import SacRecordingConfig
 from tom.envs import ANY, ENVS, task
@@ -36,8 +34,4 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 def run(args: argparse.Namespace) -> int:
     env = task(args.env).name
-    try:
-        config = SacRecordingConfig(env=env).but(**overrides(args))
-    except ValidationError as error:
-        raise one_line(error) from None
-    return begin(config, args)
+    return begin(SacRecordingConfig(env=env).but(**overrides(args)), args)

@@ -16,10 +16,9 @@ from types import ModuleType
 from typing import Any
 
 from matplotlib import rc_context
-from pydantic import ValidationError
 
 from tom.cli.output import fitting, put_out, show_rows
-from tom.cli.parser import add_json, folder, one_line
+from tom.cli.parser import add_json, folder
 from tom.cli.train import followed
 from tom.config import SacRecordingConfig
 from tom.errors import DivergedError
@@ -80,8 +79,6 @@ def run(study: ModuleType, args: Namespace) -> int:
     try:
         with on_stopping(signal.default_int_handler, [signal.SIGTERM]):
             return _run(study, args)
-    except ValidationError as error:
-        raise one_line(error) from None
     except KeyboardInterrupt:
         say("stopped")
     except BrokenProcessPool:

@@ -8,14 +8,11 @@ from contextlib import closing, contextmanager
 from functools import partial
 from typing import Any, TextIO
 
-from pydantic import ValidationError
-
 from tom.cli.output import ProgressReport, put_out, summary
 from tom.cli.parser import (
     add_run_options,
     add_training_options,
     named,
-    one_line,
     overrides,
 )
 from tom.cli.sweep import drive
@@ -88,11 +85,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError("--resume auto needs the --env and --learner of the run")
     if len(args.learner) > 1 or args.seeds:
         return _train_many(args, settings)
-    try:
-        config = resolve(args.env, args.learner[0], args.preset, settings)
-    except ValidationError as error:
-        raise one_line(error) from None
-    return begin(config, args)
+    return begin(resolve(args.env, args.learner[0], args.preset, settings), args)
 
 
 def begin(config: AnyConfig, args: argparse.Namespace) -> int:
@@ -152,10 +145,7 @@ def resume_run(args: argparse.Namespace, run_id: str, steps: str | int | None) -
     store = Store(args.store)
     config = resumable_config(store.run(run_id))
     if steps is not None:
-        try:
-            config = config.but(steps=steps)
-        except ValidationError as error:
-            raise one_line(error) from None
+        config = config.but(steps=steps)
     last = None if steps is None else config.steps
     going_on = partial(resume, store, run_id, last, accept_versions=args.accept_versions)
     return _watched(args, config, going_on)

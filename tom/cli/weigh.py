@@ -7,7 +7,6 @@ from time import perf_counter
 from typing import Any
 
 import torch
-from pydantic import ValidationError
 
 from tom import readable
 from tom.analysis.weighing import POLICIES, Weighed, plan_weighing, setting_groups, settings_type
@@ -17,7 +16,6 @@ from tom.cli.parser import (
     add_json,
     add_store,
     leaf_fields,
-    one_line,
     overrides,
 )
 from tom.data.card import sentence
@@ -94,14 +92,11 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 def run(args: argparse.Namespace) -> int:
     store = Store(args.store)
-    try:
-        plan = plan_weighing(
-            args.data, args.policy, store, env=args.env, step=args.step, random=args.random,
-            collected_by=args.collected_by, preset=args.preset, settings=overrides(args),
-            learners=args.learner, seeds=args.seeds, footprint=args.footprint,
-        )  # fmt: skip
-    except ValidationError as error:
-        raise one_line(error) from None
+    plan = plan_weighing(
+        args.data, args.policy, store, env=args.env, step=args.step, random=args.random,
+        collected_by=args.collected_by, preset=args.preset, settings=overrides(args),
+        learners=args.learner, seeds=args.seeds, footprint=args.footprint,
+    )  # fmt: skip
     data, by = plan.data.name, Path(args.policy).name.replace(":", ".")
     at = "" if args.step is None else f"-at-{args.step}"
     name = f"{data}-by-{by if by != data else 'its-own'}{at}"
