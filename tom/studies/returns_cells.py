@@ -73,6 +73,10 @@ class Cell:
         """The last evaluated step of any seed."""
         return max(float(curve.step[-1]) for curve in self.curves)
 
+    @property
+    def seeds(self) -> list[int]:
+        return [curve.seed for curve in self.curves]
+
     def scores(self, score: str = BEST) -> Array:
         """The best return of each seed up to `at`, or another score of SCORES, (n,)."""
         return scores_of(self.curves, score, self.at, self.since)

@@ -74,7 +74,7 @@ def summary(cells: Sequence[Cell]) -> list[Row]:
                 "env": cell.env,
                 "learner": cell.label,
                 "n": cell.n,
-                "seeds": " ".join(str(curve.seed) for curve in cell.curves),
+                "seeds": " ".join(map(str, cell.seeds)),
                 "at step": int(cell.at),
                 **interval(scores).columns("mean"),
                 "median": interval(scores, "median").value,

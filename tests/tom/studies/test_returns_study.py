@@ -83,7 +83,7 @@ def test_runs_with_changed_settings_stand_beside_the_others_if_asked(store: Stor
     record(store, "hopper", "tom", 0, [5, 5, 5], preset="mended", updates_per_step=7)
     cells, left_out = study.select(store.runs(), "paper", "mended", apart=True)
     of_hopper = [cell for cell in cells if cell.env == "hopper"]
-    assert {cell.label: [curve.seed for curve in cell.curves] for cell in of_hopper} == {
+    assert {cell.label: cell.seeds for cell in of_hopper} == {
         "MLE": [0],
         "TOM": [0, 1],
         "TOM, updates_per_step 7": [0, 1, 2],
