@@ -69,9 +69,9 @@ class PolicyCopier:
         """A network that has learnt the policy's mean and spread before the tanh."""
         if not len(obs):
             raise UserError("policy: hand in some transitions first, to ask it about")
-        ask = _asked(policy, self._known.own_obs)
+        bounds, own_obs = action_bounds(self._known), self._known.own_obs
         foreign = ForeignPolicy(
-            "of run.policy", ask, self._known.obs_dim, action_bounds(self._known)
+            "of run.policy", _asked(policy), self._known.obs_dim, bounds, own_obs
         )
         seen = torch.from_numpy(obs[:: max(len(obs) // ASKED, 1)]).float()
         generator = torch.Generator().manual_seed(0)
@@ -110,19 +110,15 @@ def _moved(layers: Layers, scale: NDArray, offset: NDArray) -> Layers:
     return [(first, bias + offset @ weight[:n]), *layers[1:]]
 
 
-def _asked(policy: Any, own_units: Callable[[NDArray], NDArray]) -> Callable[[Tensor], Any]:
+def _asked(policy: Any) -> Callable[[Tensor], Any]:
     if isinstance(policy, nn.Module):
         parameter = next(policy.parameters(), torch.zeros(0))
-
-        def ask(obs: Tensor) -> Any:
-            return policy(torch.from_numpy(own_units(obs.numpy())).to(parameter))
-
-        return ask
+        return lambda obs: policy(obs.to(parameter))
     predict = getattr(policy, "predict", None)
     if not callable(policy) and predict is None:
         raise UserError("policy: give a function of observations, a torch module or SB3's model")
     function = policy if predict is None else lambda obs: predict(obs, deterministic=False)[0]
-    return lambda obs: function(own_units(obs.numpy()).astype(np.float32))
+    return lambda obs: function(obs.numpy().astype(np.float32))
 
 
 def _networks(model: Any) -> tuple[Layers, list[Layers], Any, Any] | None:

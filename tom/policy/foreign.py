@@ -58,11 +58,20 @@ class ForeignPolicy:
     value_gradient = None
 
     def __init__(
-        self, name: str, ask: Callable[[Tensor], Any], obs_dim: int, bounds: Bounds
+        self,
+        name: str,
+        ask: Callable[[Tensor], Any],
+        obs_dim: int,
+        bounds: Bounds,
+        own_obs: Callable[[NDArray], NDArray] = np.asarray,
     ) -> None:
-        """Tests it on two observations. Raises UserError if the output is not that of a policy."""
+        """Tests it on two observations. Raises UserError if the output is not that of a policy.
+
+        `own_obs` converts observations (B, O) to the task's own units, in which `ask` gets them, in
+        double precision.
+        """
         self.name, self.obs_dim, self.action_dim = name, obs_dim, len(bounds[0])
-        self._ask = ask
+        self._ask, self._own_obs = ask, own_obs
         self._low, self._high = (torch.as_tensor(bound, dtype=torch.float32) for bound in bounds)
         self._drawn = False
         obs = torch.zeros(2, obs_dim)
@@ -122,7 +131,8 @@ class ForeignPolicy:
         try:
             with torch.random.fork_rng(devices=[]):
                 torch.manual_seed(seed)
-                output = self._ask(obs)
+                own = torch.as_tensor(self._own_obs(obs.numpy()), dtype=torch.float64)
+                output = self._ask(own)
             parts = output if isinstance(output, tuple) else (output,)
             if isinstance(output, list) and all(isinstance(part, Tensor) for part in output):
                 parts = tuple(output)  # TorchScript gives lists
@@ -165,21 +175,14 @@ def _why(error: BaseException) -> str:
 def foreign_policy(
     name: str, obs_dim: int, bounds: Bounds, own_obs: Callable[[NDArray], NDArray] = np.asarray
 ) -> ForeignPolicy:
-    """The policy `name` (`is_foreign`) for a task of these dimensions. Raises UserError.
-
-    `own_obs` converts observations (B, O) to the task's own units, which the policy expects.
-    """
+    """The policy `name` (`is_foreign`) for a task of these dimensions. Raises UserError."""
     if _is_function(name):
         ask = _function(name)
     elif Path(name).is_file():
         ask = (_onnx if Path(name).suffix == ONNX else _torchscript)(name)
     else:
         raise UserError(f"no policy at {name}: name a file that is there")
-
-    def ask_in_own_units(obs: Tensor) -> Any:
-        return ask(torch.as_tensor(own_obs(obs.numpy()), dtype=torch.float64))
-
-    return ForeignPolicy(name, ask_in_own_units, obs_dim, bounds)
+    return ForeignPolicy(name, ask, obs_dim, bounds, own_obs)
 
 
 def _is_function(name: str) -> bool:
