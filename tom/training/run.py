@@ -1,15 +1,15 @@
 """One training, from its configuration to a finished run folder."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from itertools import chain
-from typing import Any, Literal, Protocol, TypedDict, Unpack
+from typing import Literal, TypedDict, Unpack
 
 import torch
 
 from tom.config import OnlineConfig, RoadConfig, SacRecordingConfig
 from tom.errors import UserError, reason
-from tom.events import Collected, Event, Notice, Tick
+from tom.events import Event, Notice, Tick
 from tom.machine.matmul import MatmulReport, choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.mbpo import Mbpo
@@ -22,18 +22,10 @@ from tom.training.sac_recording import SacRecording
 from tom.training.watch import Watch
 
 AnyConfig = OnlineConfig | RoadConfig | SacRecordingConfig
+Training = Mbpo | Offline | SacRecording
+"""a generator of events whose state can be saved at the end of any step and restored"""
 Consumer = Callable[[Event], None]
 STOPPED = "stopped at step {step}: tom train --resume {run} goes on"
-
-
-class Training(Protocol):
-    """A generator of events whose state can be saved at the end of any step and restored."""
-
-    def events(self) -> Iterator[Event]: ...
-
-    def state_dict(self) -> dict[str, Any]: ...
-
-    def load_state_dict(self, state: dict[str, Any], collected: Collected) -> None: ...
 
 
 class RecordingOptions(TypedDict, total=False):
