@@ -154,6 +154,15 @@ def learner_rank(learner: str) -> int:
     return list(LEARNERS).index(learner) if learner in LEARNERS else len(LEARNERS)
 
 
+NEUTRAL = "#8a92a3"
+
+
+def learner_colour(learner: str) -> str:
+    """The colour of a learner; a neutral one if it has none."""
+    entry = LEARNERS.get(learner)
+    return entry.colour if entry and entry.colour else NEUTRAL
+
+
 def follows_value(learner: str) -> bool:
     """Whether its weights change with a value function; those of a baseline, no learner, do not."""
     return learner in LEARNERS and LEARNERS[learner].follows_value

@@ -15,17 +15,9 @@ from matplotlib.ticker import FixedLocator, NullLocator
 from matplotlib.typing import RcKeyType
 from numpy.typing import NDArray
 
-from tom.learners import LEARNERS
+from tom.learners import NEUTRAL, learner_colour
 
-NEUTRAL = "#8a92a3"
 TEXT = "#1c2330"
-
-
-def learner_colour(learner: str) -> str:
-    """The colour of a learner; a neutral one if it has none."""
-    entry = LEARNERS.get(learner)
-    return entry.colour if entry and entry.colour else NEUTRAL
-
 
 STYLE: dict[RcKeyType, Any] = {
     "font.size": 9,

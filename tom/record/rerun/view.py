@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tom.config import EvaluationConfig
 from tom.envs import ROAD, scene
 from tom.events import Episode
-from tom.learners import LEARNERS
+from tom.learners import LEARNERS, learner_colour
 from tom.metrics import describe
 from tom.record.reader import RunReader
 from tom.record.rerun import drawing
@@ -43,7 +43,6 @@ OF_ROAD = ("Return", "Policy: losses")
 EPISODE_FLUSH_S = 10.0
 ROWS = 256  # of metrics sent together, because a viewer takes a second for some hundred chunks
 
-NEUTRAL = "8a92a3"  # for weights of a learner without colour
 FRAMES_PER_S = 30
 PAUSE_S = 0.5  # between two episodes on the timeline `replay`
 
@@ -92,9 +91,7 @@ class RerunView:
             self._stream.set_sinks(sink, default_blueprint=layout)
         self._stream.send_recording_name(name)
         # Otherwise the viewer chooses a colour, which may be another learner's.
-        entry = LEARNERS.get(run.learner)
-        colour = (entry.colour if entry else None) or NEUTRAL
-        self._colour = [*bytes.fromhex(colour.removeprefix("#"))]
+        self._colour = [*bytes.fromhex(learner_colour(run.learner).removeprefix("#"))]
 
     def read(self) -> bytes:
         """The bytes recorded since the last call, if there is no sink."""
