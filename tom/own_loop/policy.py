@@ -62,7 +62,8 @@ class PolicyCopier:
         scale, offset = self._scale / spread, (self._offset - centre) / spread
         pair = critics[:2] if len(critics) >= 2 else []
         twins = [_moved(critic, scale, offset) for critic in pair]
-        both = [tuple(map(np.stack, zip(*of, strict=True))) for of in zip(*twins, strict=True)]
+        joined = (zip(*of, strict=True) for of in zip(*twins, strict=True))
+        both = [(np.stack(weights), np.stack(biases)) for weights, biases in joined]
         return layer_arrays(self._known.name, _moved(actor, scale, offset), both), None
 
     def _learnt(self, policy: Any, obs: NDArray) -> Copy:
