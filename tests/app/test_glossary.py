@@ -1,7 +1,6 @@
 """Links from the pages' words to the glossary."""
 
 import re
-from pathlib import Path
 
 import pytest
 
@@ -23,9 +22,3 @@ def test_every_linked_word_has_an_entry_with_its_anchor() -> None:
 )
 def test_a_term_is_linked_where_it_stands_first(text: str, links: int) -> None:
     assert pages_text.linked(text).count("glossary#") == links
-
-
-def test_without_the_file_there_is_no_link(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pages_text, "GLOSSARY", Path("nowhere"))
-    assert pages_text.linked("footprint") == "footprint"
-    assert pages_text.terms() == {}

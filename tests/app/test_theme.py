@@ -1,17 +1,15 @@
 """Colours can be told apart and read."""
 
-from colorsys import rgb_to_hls
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 
-from app.figures.curves import Look, looks_of
+from app.figures.curves import looks_of
 from app.theme import (
     BACKGROUND,
     COLUMNS,
-    DIVERGING,
     LEARNER_COLOURS,
     LINK,
     NEUTRAL,
@@ -27,9 +25,7 @@ from app.theme import (
     ramp,
     rgb,
 )
-from app.theme import light as intensity
 from tom.analysis.settings import Kind
-from tom.envs import ROAD
 from tom.learners import LEARNERS
 
 # Machado, Oliveira and Fernandes (2009), severity 1.
@@ -135,24 +131,6 @@ def test_a_group_s_look_is_the_same_whatever_is_shown_beside_it() -> None:
         assert len(drawn) == len(of_learner)
 
 
-@pytest.mark.parametrize(("learner", "main"), [("tom", "mended"), ("mle", "paper")])
-def test_hue_is_the_learner_and_a_pale_core_the_other_preset(learner: str, main: str) -> None:
-    def look(preset: str, env: str = "hopper") -> Look:
-        kind = Kind(learner, preset, "")
-        return looks_of([(env, kind)])[kind]
-
-    def hue(colour: str) -> float:
-        return rgb_to_hls(*(part / 255 for part in rgb(colour)))[0]
-
-    (other,) = {"paper", "mended"} - {main}
-    for drawn in (look(main), look("smoke"), look("paper", ROAD)):  # the main preset there
-        assert (drawn.colour, drawn.core) == (learner_colour(learner), "")
-    hollow = look(other)
-    assert hollow.colour == learner_colour(learner)
-    assert hue(hollow.core) == pytest.approx(hue(hollow.colour), abs=0.02)
-    assert lab(light(hollow.core))[0] > lab(light(hollow.colour))[0] + 10
-
-
 @pytest.mark.parametrize("vision", VISION)
 def test_tom_as_printed_is_told_from_all_main_groups_by_every_eye(vision: str) -> None:
     kind = Kind("tom", "paper", "")
@@ -165,29 +143,6 @@ def test_an_unknown_learner_is_neutral_and_keeps_its_name() -> None:
     assert learner_colour("mine") == NEUTRAL
     assert NEUTRAL not in LEARNER_COLOURS.values()
     assert learner_label("mine") == "mine"
-
-
-def test_a_scale_is_linear_between_its_stops() -> None:
-    scale = [(0.0, "#000000"), (0.5, "#6432c8"), (1.0, "#ffffff")]
-    assert on_scale(np.array([0.0, 0.25, 0.5]), scale).tolist() == [
-        [0, 0, 0],
-        [50, 25, 100],
-        [100, 50, 200],
-    ]
-
-
-def test_linear_light_of_srgb() -> None:
-    shown = 255 * intensity(np.array([0, 128, 255], np.uint8))
-    assert shown.round().tolist() == [0, 55, 255]
-
-
-@pytest.mark.parametrize("mode", ["light", "dark"])
-def test_heavy_weights_stand_out_more_than_light_ones(mode: Mode) -> None:
-    ends = dict(DIVERGING[mode])
-    page = BACKGROUND[mode]
-    assert contrast(ends[1.0], page) > 2 * contrast(ends[0.0], page)
-    assert contrast(ends[0.0], page) > 1.05 * contrast(ends[0.5], page)
-    assert (np.diff([contrast(colour, page) for _, colour in COLUMNS[mode]]) > 0).all()
 
 
 @pytest.mark.parametrize("mode", ["light", "dark"])

@@ -11,15 +11,14 @@ import plotly.graph_objects as go
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from studio_runs import PENDULUM_TOM, ROAD_TOM, info
+from studio_runs import PENDULUM_TOM, info
 
-from app.data import readers, road
+from app.data import readers
 from app.data.exams import Exams
 from app.figures.base import decimate, relative_scale
 from app.figures.curves import CORE, POINTS, Axes, alone, group_curves
 from app.figures.exams import FITS, errors_by_age, focus, footprint_error_return
 from app.figures.replay import moments_figure
-from app.figures.road import road_map
 from app.figures.statistics import improvement
 from app.figures.weights import (
     MAP_COLUMNS,
@@ -30,7 +29,6 @@ from app.figures.weights import (
 from app.theme import learner_colour, learner_symbol
 from tom.analysis.curves import GRID, Curve, aggregate
 from tom.record.decode import Profiles
-from tom.record.reader import RunReader
 
 WINS = pd.DataFrame(
     [
@@ -88,15 +86,6 @@ def test_long_curves_and_many_fits_are_thinned_and_say_so(profiles: Profiles) ->
             assert max(len(line.x) for line in traces(figure)) <= limit
             said = " ".join(notes(figure))
             assert [word in said for word in words] == [points > 100] * len(words)
-
-
-def test_a_single_evaluation_is_seen_where_it_lies_in_the_run() -> None:
-    one = Curve("a", "ant", "tom", "paper", 0, np.array([6000]), np.array([1.0]))
-    figure = group_curves([alone(one, "a")], "eval/return", 300, singles=False)
-    assert figure.to_dict()["layout"]["xaxis"]["autorangeoptions"] == {"include": 0}
-    both = [alone(one, "a"), alone(long_curve(9), "b")]
-    more = group_curves(both, "eval/return", 300, singles=False)
-    assert "autorangeoptions" not in more.to_dict()["layout"]["xaxis"]
 
 
 def test_a_group_has_single_runs_a_band_and_a_mean() -> None:
@@ -172,32 +161,6 @@ def test_a_colour_bar_says_where_its_ends_hold_more(
     assert (words[0], words[-1]) == ends
 
 
-def test_the_road_map_shows_the_picture(store: Path) -> None:
-    run = RunReader(store / ROAD_TOM)
-    picture = road.picture(run, run.snapshot_steps()[-1])
-    assert picture is not None
-    named = {t.name: t for t in traces(road_map(picture, "light", 500))}
-    assert np.array_equal(named["weights"].customdata, picture.grid, equal_nan=True)
-    learnt = np.stack([named["TOM policy"].x, named["TOM policy"].y], -1)
-    assert learnt[: len(picture.learnt[0])] == pytest.approx(picture.learnt[0])
-    arrow = np.stack([named["modelled move"].x, named["modelled move"].y], -1)[:2]
-    assert arrow[1] - arrow[0] == pytest.approx(picture.modelled[0], abs=1e-6)
-    on_road = np.abs(picture.points[:, 1] - 0.12) < 0.05
-    error = np.linalg.norm(picture.modelled - picture.true, axis=-1)
-    assert error[on_road].mean() < 0.5 * error[~on_road].mean()
-
-
-def test_a_run_without_weights_says_so_beside_the_others(profiles: Profiles) -> None:
-    none = Profiles(*(part[:0] for part in vars(profiles).values()))
-    curve = long_curve(50)
-    figure = over_fits([("TOM", curve, profiles), ("SAC", curve, none)], "light", 400)
-    layout = figure.to_dict()["layout"]
-    (missing,) = [note for note in layout["annotations"] if note["text"] == "no weights recorded"]
-    assert (missing["xref"], missing["yref"]) == ("x2 domain", "y2 domain")
-    assert ("x2", "y2") in [(trace.xaxis, trace.yaxis) for trace in traces(figure)]  # they exist
-    assert len([trace for trace in traces(figure) if trace.type == "heatmap"]) == 1
-
-
 def zooms(run_id: str, profiles: Profiles) -> list[str]:
     """What each figure of a run's data keeps its zoom for."""
     bins, last = profiles.bins, len(profiles.env_step) - 1
@@ -213,17 +176,6 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
         improvement(WINS.head(1), ["red"], 200, run_id),
     ]
     return [figure.to_dict()["layout"]["uirevision"] for figure in drawn]
-
-
-@pytest.mark.parametrize("runs", [1, 5, 40])
-def test_every_run_stands_at_the_tick_of_its_group(runs: int) -> None:
-    groups = {name: [(f"{name}-{i}", name, 1.0, 2.0) for i in range(runs)] for name in "ab"}
-    figure = focus(groups, 300, "errors")
-    low, high = figure.to_dict()["layout"]["xaxis"]["range"]
-    for i, name in enumerate("ab"):
-        at = np.array([trace.x for trace in traces(figure) if trace.meta.startswith(name)])
-        assert ((np.abs(at - i) < 0.5) & (low < at) & (at < high)).all()
-        assert len(np.unique(at.mean(1))) == runs
 
 
 def test_a_p_among_several_is_shown_with_its_correction() -> None:
@@ -243,24 +195,6 @@ def test_a_zoom_lasts_while_its_run_grows_and_is_none_of_another_run(profiles: P
     assert len(younger.env_step) < len(profiles.env_step)
     assert zooms("a", younger) == zooms("a", profiles)
     assert not set(zooms("a", profiles)) & set(zooms("b", profiles))
-
-
-def test_a_group_whose_runs_never_meet_has_a_legend_entry() -> None:
-    early, late = long_curve(20), long_curve(20, 1)
-    late = replace(late, step=late.step + 100)
-    lines = traces(group_curves([aggregate([early, late])], "eval/return", 300, singles=False))
-    (named,) = [line for line in lines if line.showlegend]
-    assert len(named.x) == 40  # Plotly's legend leaves out a line without points
-    assert named.name == "TOM (n = 2)"
-    assert named.line.dash == "dot"
-
-
-@pytest.mark.parametrize(("dims", "cut"), [(30, True), (3, False)])
-def test_curves_of_many_dimensions_say_that_they_are_the_first(dims: int, cut: bool) -> None:
-    still = np.zeros((1, 25, dims))
-    figure = moments_figure(still, still, [], 100, "run")
-    assert len(traces(figure)) == 2 * min(dims, 12)
-    assert ("12 of 30" in str(figure.layout)) == cut
 
 
 @settings(deadline=None)

@@ -75,15 +75,6 @@ def test_labels_of_lines_that_end_together_do_not_overlap(log: bool) -> None:
     assert min(abs(a - b) for a, b in combinations(pixels, 2)) > 0.95 * GAP
 
 
-def test_where_a_line_ends_below_zero_on_a_log_axis_the_legend_stays() -> None:
-    below, above = group("tom", -50, lowest=-100), group("mle", 10, lowest=1)
-    for groups in ([below], [below, above]):
-        figure = labelled(groups, Axes(log_y=True))
-        assert labels(figure) == []
-        assert figure.to_dict()["layout"].get("showlegend") is not False
-    assert len(labels(labelled([below, above]))) == 2
-
-
 # For a paper
 
 
@@ -139,54 +130,6 @@ def test_a_paper_s_figure_has_the_width_of_its_columns_and_the_page_s_words(widt
 def test_every_mark_of_a_learner_is_seen_without_an_edge() -> None:
     assert {*theme.SYMBOLS, theme.learner_symbol("no learner")} <= set(SYMBOLS)
     assert all(MarkerStyle(mark).is_filled() for mark in SYMBOLS.values())
-
-
-def test_a_remark_in_the_corner_is_no_line_s_label() -> None:
-    remark = {"text": "thinned to 1500 points a line", "x": 1, "y": 0, "xref": "paper"}
-    notes = [*message(GROUPS)["annotations"], remark | {"yref": "paper"}]
-    plain, noted = (
-        paper_figure(message(GROUPS, annotations=some), "one", "svg").decode()
-        for some in (message(GROUPS)["annotations"], notes)
-    )
-    ids = r"(?s)<metadata>.*</metadata>|[pm][0-9a-f]{10}"  # dates and random names
-    assert re.sub(ids, "", noted) == re.sub(ids, "", plain)
-
-
-NAMES = ["half TOM mended + half uniform<br>p .04, corrected .2", "PMAC"]
-
-
-def rows(shown: dict[str, Any]) -> dict[str, Any]:
-    """A figure with a named row for each result, which has a bar."""
-    first = shown["traces"][0]
-    first |= {
-        "fill": None, "x": [10, 20], "y": [0, 1], "mode": "markers",
-        "marks": [["circle", "#000000"]] * 2,
-        "bars": {"array": [1, 2], "arrayminus": [3, 4], "color": "#000000"},
-    }  # fmt: skip
-    shown["axes"]["xy"]["y"] |= {"range": [-0.5, 1.5], "tickvals": [0, 1], "ticktext": NAMES}
-    return shown | {"traces": [first], "annotations": [], "shapes": []}
-
-
-LONG = [replace(group("tom", 90), variant="rollout.uniform_share 0.5"), group("mle", 10)]
-
-
-@pytest.mark.parametrize("shown", [message(LONG), rows(message(GROUPS))])
-def test_labels_and_ticks_lie_inside_the_file(shown: dict[str, Any]) -> None:
-    file = Image.open(io.BytesIO(paper_figure(shown, "one", "png"))).convert("L")
-    dark = np.asarray(file) < 200
-    assert not np.pad(np.zeros(np.subtract(dark.shape, 6), bool), 3, constant_values=True)[
-        dark
-    ].any()
-
-
-def test_bars_of_both_directions_are_drawn_and_ticks_out_of_sight_move_nothing() -> None:
-    plain, ticked, barred = (rows(message(GROUPS)) for _ in range(3))
-    ticked["axes"]["xy"]["y"] |= {"tickvals": [0, 1, 9], "ticktext": [*NAMES, "far"]}
-    barred["traces"][0]["upright"] = plain["traces"][0]["bars"]
-    shown = [paper_figure(one, "one", "png") for one in (plain, ticked, barred)]
-    assert shown[0] == shown[1] != shown[2]
-    plain["traces"][0]["bars"]["color"] = "#12ab34"
-    assert "#12ab34" in paper_figure(plain, "one", "svg").decode()
 
 
 def test_a_legend_a_heatmap_bars_and_a_log_axis_are_drawn() -> None:

@@ -10,7 +10,6 @@ from app.parts import form, start
 from tom.cli.parser import leaf_fields
 from tom.config import OnlineConfig
 from tom.errors import UserError
-from tom.learners import LEARNERS
 
 
 def test_every_setting_that_matters_is_a_field() -> None:
@@ -58,11 +57,3 @@ def test_the_command_to_go_on_names_the_store(store: Path, show: Show) -> None:
     show(Path("my runs"))
     words = start.resume(info(store, PENDULUM_TOM))
     assert words == f"tom train --resume {PENDULUM_TOM} --store 'my runs'"
-
-
-def test_every_learner_is_shown_the_settings_that_it_reads() -> None:
-    groups = {name: set(form.sections("hopper", name, "paper")) for name in LEARNERS}
-    own = {name: groups[name] & {"tom", "pmac", "vagram"} for name in LEARNERS}
-    assert own["mle"] == set()
-    assert own["ratio"] == own["tom"] == {"tom"}
-    assert own["vagram"] == own["vagram-ensemble"] == {"vagram"}
