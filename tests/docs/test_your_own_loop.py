@@ -48,7 +48,10 @@ def ended(folder: Path, name: str) -> Run:
     return found
 
 
-@pytest.mark.parametrize(("script", "name"), zip(SCRIPTS, ["my-sac", "weighted-sac"], strict=True))
+@pytest.mark.parametrize(
+    ("script", "name"),
+    [(SCRIPTS[0], "my-sac"), pytest.param(SCRIPTS[1], "weighted-sac", marks=pytest.mark.slow)],
+)
 def test_the_trainings_of_the_page(script: str, name: str, tmp_path: Path):
     for many, few in FEW.items():
         assert many in script
@@ -61,6 +64,7 @@ def test_the_trainings_of_the_page(script: str, name: str, tmp_path: Path):
     assert live.reader.snapshot_steps()[-1] == 400
 
 
+@pytest.mark.slow
 def test_the_example(tmp_path: Path):
     run_script((DOCS / "examples/ddpg_loop.py").read_text(), tmp_path, "700")
     run = ended(tmp_path, "my-ddpg")
