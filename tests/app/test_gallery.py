@@ -3,15 +3,13 @@
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
-from studio_pages import Show, array, draw, figures, map_of, parts, recorded, trace
+from studio_pages import Show, array, draw, figures, map_of, trace
 
 from app.data import studies
 from app.data.buffer import has_model
 from app.figures.weights import FLOOR
-from app.views.attention import LEARNERS_ON_IT
 from app.views.curves.numbers import NO_SAC
 from tom import readable
 from tom.record import RunReader, Store
@@ -26,25 +24,21 @@ RUNS = Path(__file__).parents[2] / "runs"
 README = RUNS / "README.md"
 BYTES = 27_000_000
 STUDIES_BYTES = 3_000_000
-ROAD = "road-and-rocks"
 
 COPIES = small_copies(Store(RUNS))
 WEIGHINGS = [path for run in COPIES for path in of_run(RUNS, run.run_id)]
-# One training of each task: that which kept most.
 TRAINED = [run for run in COPIES if run.learner != "sac"]
 RICHEST = {run.env: run for run in sorted(TRAINED, key=lambda run: size_of(run.path))}
-EACH = [pytest.param(run, id=env) for env, run in RICHEST.items()]
-MUJOCO = [param for param in EACH if param.id != ROAD]
+"""of each task the training that kept most"""
+SHOWN = pytest.mark.parametrize("run", [RICHEST["hopper"], RICHEST["inverted-pendulum"]])
 
 
 @pytest.fixture(scope="module")
 def gallery(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The gallery alone, without what else lies in runs/."""
     store = tmp_path_factory.mktemp("gallery")
-    for run in COPIES:
-        shutil.copytree(run.path, store / run.run_id)
-    for path in WEIGHINGS:
-        shutil.copytree(path, store / "weighings" / path.name)
+    for path in (*(run.path for run in COPIES), *WEIGHINGS):
+        shutil.copytree(path, store / path.relative_to(RUNS))
     return store
 
 
@@ -93,16 +87,6 @@ def test_its_studies_say_what_was_found_and_by_which_command() -> None:
     assert size_of(RUNS / STUDIES) < STUDIES_BYTES
 
 
-@pytest.mark.parametrize("run", EACH)
-@pytest.mark.usefixtures("shown")
-def test_curves_draws_its_returns(run: RunReader) -> None:
-    [panel] = figures(draw("curves", task=run.env, find=run.run_id, panel="eval/return"))
-    line = trace(panel, meta=run.run_id)
-    step, value = recorded(RUNS, run.run_id)
-    assert array(line["x"]).tolist() == step
-    assert array(line["y"]) == pytest.approx(value)
-
-
 @pytest.mark.usefixtures("shown")
 def test_statistics_compare_no_recording_of_sac() -> None:
     app = draw("curves", part="Statistics", task="walker2d")
@@ -111,13 +95,7 @@ def test_statistics_compare_no_recording_of_sac() -> None:
     assert not any("SAC" in name for name in app.dataframe[0].value["group"])
 
 
-@pytest.mark.usefixtures("shown")
-def test_a_recording_of_sac_says_where_its_rows_are_weighed() -> None:
-    (told,) = draw("attention", run="hopper-sac-s0").info
-    assert LEARNERS_ON_IT in told.value
-
-
-@pytest.mark.parametrize("run", MUJOCO)
+@SHOWN
 @pytest.mark.usefixtures("shown")
 def test_attention_draws_its_last_fit_and_its_buffer(run: RunReader) -> None:
     app = draw("attention", run=run.run_id, rows="true")
@@ -129,7 +107,7 @@ def test_attention_draws_its_last_fit_and_its_buffer(run: RunReader) -> None:
     assert float(heaviest) == pytest.approx(weight.max(), rel=1e-3)
 
 
-@pytest.mark.parametrize("run", EACH)
+@SHOWN
 @pytest.mark.usefixtures("shown")
 def test_replays_plays_its_last_episode(run: RunReader) -> None:
     app = draw("replays", run=run.run_id)
@@ -139,24 +117,13 @@ def test_replays_plays_its_last_episode(run: RunReader) -> None:
     assert (shown["return, imagined"] != "-") == has_model(run)
 
 
-@pytest.mark.parametrize("run", [param for param in EACH if param.id == ROAD])
 @pytest.mark.usefixtures("shown")
-def test_the_roads_weights_are_drawn_over_the_map(run: RunReader) -> None:
-    app = draw("attention", run=run.run_id)
-    (shown,) = parts(app, "tom_readout")
-    numbers = {number["label"]: number["values"] for number in shown["numbers"]}
-    share = recorded(RUNS, run.run_id, "weights/road_share")[1][-1]
-    assert numbers["weight on the road"][-1] == readable.percent(share)
-    assert trace(figures(app)[0], name="weights")
-
-
-@pytest.mark.parametrize("path", WEIGHINGS, ids=lambda path: path.name)
-@pytest.mark.usefixtures("shown")
-def test_its_weighings_are_found(path: Path) -> None:
+def test_a_weighing_of_it_is_shown() -> None:
+    path = WEIGHINGS[0]
     report, part = read_json(path / REPORT), "Every learner on one buffer"
     app = draw("attention", run=report["data"], part=part, weighed=path.name)
     table = pd.read_csv(path / "profile.csv")
-    for learner in table["learner"].unique():
+    for learner, of in table.groupby("learner"):
         line = trace(figures(app)[0], meta=learner)
-        of = table[table["learner"] == learner].groupby("bin")["mean_weight"]
-        assert array(line["customdata"]) == pytest.approx(np.array(of.median()), rel=1e-2, abs=1e-3)
+        medians = of.groupby("bin")["mean_weight"].median().to_numpy()
+        assert array(line["customdata"]) == pytest.approx(medians, rel=1e-2, abs=1e-3)

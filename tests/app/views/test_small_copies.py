@@ -11,6 +11,7 @@ from studio_runs import info
 from app.data import readers
 from app.parts.start import progress_line
 from app.parts.widgets import differs, telling
+from app.views.attention import LEARNERS_ON_IT
 from app.views.curves.runs import overview
 from tom.record import RunReader, Store, layout
 from tom.record.export import export_small
@@ -74,7 +75,7 @@ def test_a_recording_of_sac_has_no_weights(tmp_path: Path, show: Show) -> None:
     show(tmp_path)
     app = draw("attention", run=recording.run_id)
     assert not figures(app)
-    assert app.info
+    assert LEARNERS_ON_IT in app.info[0].value
 
 
 def test_the_table_of_runs_and_the_cards_say_which_is_one(bare: Path) -> None:
