@@ -39,11 +39,6 @@ def alive(pid: int) -> bool:
         return False
 
 
-def megabytes(pid: int) -> float:
-    """Memory that a process holds."""
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096 / 1e6
-
-
 def listening(processes: set[int]) -> set[tuple[str, int]]:
     """(address, port) on which a process listens; addresses as the kernel writes them."""
     inodes = set()

@@ -17,11 +17,11 @@ from tom.record.reader import RunReader
 TIMEOUT_S = 60
 PAGE = """
 from app.parts import address
-from app.router import VIEWS
+from app.router import VIEWS, draw
 
 [view] = [view for view in VIEWS if view.name == "{view}"]
 address.visit(view.PATH)
-view.page()
+draw(view.page)
 address.write()
 """
 

@@ -69,6 +69,7 @@ def test_only_recordings_are_given_out(store: Path) -> None:
         (ROAD_TOM, "../road-mle/config.json"),
         ("..", "run.rrd"),
         ("none", "run.rrd"),
+        ("\x00", "run.rrd"),
     ):
         assert recording_path(str(store), run, name) is None
 
@@ -218,13 +219,10 @@ def figure(query: str, body: bytes, **more: str) -> tuple[int, Mapping[str, str]
     return reply(SERVED, "POST", f"/api/figure?{query}", body=body, **more)
 
 
-@pytest.mark.parametrize(
-    ("kind", "begins"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")]
-)
-def test_a_figure_for_a_paper_is_a_file(kind: str, begins: bytes) -> None:
-    code, headers, content = figure(f"kind={kind}&width=one", a_figure())
-    assert (code, headers["content-type"].partition(";")[0]) == (200, paper.KINDS[kind])
-    assert content.startswith(begins)
+def test_a_figure_for_a_paper_is_a_file() -> None:
+    code, headers, content = figure("kind=pdf&width=one", a_figure())
+    assert (code, headers["content-type"]) == (200, paper.KINDS["pdf"])
+    assert content.startswith(b"%PDF")
 
 
 @pytest.mark.parametrize(
@@ -233,11 +231,8 @@ def test_a_figure_for_a_paper_is_a_file(kind: str, begins: bytes) -> None:
         ("kind=pdf&width=one", b"nonsense"),
         ("kind=pdf&width=one", b"[" * 100_000),
         ("kind=pdf&width=one", b"[1]"),
-        ("kind=pdf&width=one", b"{}"),
         ("kind=pdf&width=one", a_figure(axes={})),
-        ("kind=pdf&width=one", a_figure(axes={"xy": {"x": {}, "y": {}}})),
         ("kind=pdf&width=one", a_figure(traces=[{"axes": "none"}])),
-        ("kind=pdf&width=one", a_figure(annotations=[3])),
         ("kind=pdf&width=one", a_figure(axes={"xy": {"x": HUGE, "y": HUGE}})),
         ("kind=pdf&width=one", a_figure(ratio="wide")),
         ("kind=pdf&width=1000", a_figure()),

@@ -5,10 +5,13 @@ import errno
 import io
 import json
 import os
+from collections.abc import Callable
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 from faults import config, stopped
@@ -16,7 +19,8 @@ from same_records import assert_same_record
 
 from tom.cli import main
 from tom.errors import TRY_LATER, TryLaterError, UserError
-from tom.record import Store, checkpoint
+from tom.policy.stored import read_policy
+from tom.record import RunReader, Store, checkpoint
 from tom.record.integrity import verify
 from tom.training.resume import resumable_config, resume, unfinished
 from tom.training.run import train
@@ -64,8 +68,9 @@ def test_every_checkpoint_damaged__resume_is_refused_in_one_line_and_nothing_is_
 
 
 @pytest.mark.quick
-def test_a_lost_piece_of_the_buffer__resume_says_so_and_touches_nothing(store: Store):
+def test_a_lost_piece_of_the_buffer__verify_and_resume_say_so_and_touch_nothing(store: Store):
     (store.path / "stopped" / "buffer" / "000000000.npz").unlink()
+    assert any("buffer" in problem for problem in verify(store.run("stopped")))
     before = sorted(path.name for path in (store.path / "stopped").rglob("*"))
     with pytest.raises(UserError, match="lost rows of its buffer"):
         resume(store, "stopped", rerun=False)
@@ -91,8 +96,9 @@ def fail(
 
 
 @pytest.mark.quick
-@pytest.mark.parametrize("folder", ["buffer", checkpoint.FOLDER])
-@pytest.mark.parametrize("fault", [errno.EIO, errno.EACCES])
+@pytest.mark.parametrize(
+    ("folder", "fault"), [("buffer", errno.EIO), (checkpoint.FOLDER, errno.EACCES)]
+)
 def test_a_disk_that_cannot_be_read_for_now__resume_says_so_and_touches_nothing(
     store: Store, monkeypatch: pytest.MonkeyPatch, folder: str, fault: int
 ):
@@ -146,3 +152,51 @@ def test_a_folder_of_a_newer_format__is_read_as_far_as_known_and_not_resumed(sto
     assert "newer version (schema 2" in run.problems[0]
     with pytest.raises(UserError, match="made by another version"):
         resume(store, "stopped", rerun=False)
+
+
+def halved(content: bytes) -> bytes:
+    lines = content.splitlines(keepends=True)
+    return b"".join(lines[: len(lines) // 2])
+
+
+def torn(content: bytes) -> bytes:
+    return content[:-20]
+
+
+@pytest.mark.parametrize("damage", [halved, torn])
+@pytest.mark.parametrize("name", ["metrics.jsonl", "weights/profiles.jsonl"])
+def test_a_run_that_lost_rows__goes_on_and_says_so(
+    store: Store, name: str, damage: Callable[[bytes], bytes]
+):
+    run = store.run("stopped")
+    table, path = (run.path / "metrics.parquet").read_bytes(), run.path / name
+    path.write_bytes(damage(path.read_bytes()))
+    after = resume(store, "stopped", rerun=False)
+    assert (after.status.state, verify(after)) == ("finished", [])
+    assert [row["code"] for row in after.notices()].count("rows") == 1
+    assert any(name in warning for warning in after.status.warnings)
+    if name == "metrics.jsonl":  # the table has what its rows lost
+        assert (run.path / "damaged/metrics.parquet").read_bytes() == table
+
+
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [
+        ("buffer/000000000.npz", RunReader.recorded),
+        ("episodes/000000080.npz", lambda run: run.episodes(80)),
+        ("policies/000000080.npz", lambda run: read_policy(run.path / "policies/000000080.npz")),
+    ],
+)
+def test_a_bit_flipped_anywhere_in_a_runs_arrays__raises_no_error_but_the_users(
+    store: Store, name: str, read: Callable[[RunReader], object]
+):
+    path = store.path / "stopped" / name
+    content, rng = bytearray(path.read_bytes()), np.random.default_rng(0)
+    ends = [*range(150), *range(len(content) - 150, len(content))]
+    for at in {*ends, *rng.integers(0, len(content), 60).tolist()} & {*range(len(content))}:
+        bit = 1 << int(rng.integers(8))
+        content[at] ^= bit
+        path.write_bytes(content)
+        content[at] ^= bit
+        with suppress(UserError):
+            read(store.run("stopped"))

@@ -98,25 +98,15 @@ def test_kill_9_fifty_times_with_rerun__at_most_the_last_flush_is_lost_and_resum
     assert left == [], "what a killed writer left half-done is cleared by the next"
 
 
-@pytest.fixture
-def not_under_nohup():
-    """A training that is begun under nohup goes on after SIGHUP, also where the tests are."""
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    yield
-    signal.signal(signal.SIGHUP, before)
-
-
-@pytest.mark.usefixtures("not_under_nohup")
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_to_stop__a_checkpoint_is_written_and_resume_auto_ends_as_if_undisturbed(
-    tmp_path: Path, how: signal.Signals
+    tmp_path: Path,
 ):
     truth = train(config(steps=700), Store(tmp_path / "truth"), "a", rerun=False)
     command = train_command(tmp_path / "store", steps=700)
     process = tom(*command, "--resume", "auto", "--run-id", "a")
     run = RunReader(tmp_path / "store" / "a")
     wait_until(lambda: run.path.exists() and len(run.metrics()) > 2)
-    process.send_signal(how)
+    process.terminate()
     code, _, error = ended(process)
     assert code == 1, error
     assert run.status.state == "stopped"

@@ -42,7 +42,6 @@ def warned(path: Path, made: OnlineConfig, kind: str) -> RunReader:
     ("learner", "changes", "step", "option"),
     [
         ("mle", {"sac": {"lr": 1e20}}, 4, "--sac.lr"),
-        ("vagram-ensemble", {"sac": {"lr": 1e20}}, 4, "--sac.lr"),
         ("mle", {"model": {"lr": 1e20}}, 40, "--model.lr"),
         ("tom", {"tom": {"q_lr": 1e20, "warmup": 1}}, 80, "--tom.q-lr"),
         ("tom", {"tom": {"discriminator_lr": 1e20, "warmup": 1}}, 80, "--tom.discriminator-lr"),
@@ -68,22 +67,6 @@ def test_a_sac_recording_whose_loss_is_not_finite__ends_at_that_step(tmp_path: P
     with pytest.raises(DivergedError, match=r"step 1\d\d: .*--sac.lr"):
         train(made, Store(tmp_path), "a", rerun=False)
     assert Store(tmp_path).run("a").status.state == "failed"
-
-
-def test_a_loss_that_is_not_finite_on_the_command_line__exit_1_and_one_line(tmp_path: Path):
-    command = train_command(tmp_path, sac={"lr": 1e20})
-    code, _, error = ended(tom(*command, "--run-id", "a"))
-    assert code == 1
-    assert "step 4" in error.strip().splitlines()[-1]
-    assert "Traceback" not in error
-
-
-def test_all_weights_zero__that_fit_is_uniform_and_says_so(tmp_path: Path):
-    # A dual whose Q is pushed far up at once: the argument of f*' is negative everywhere.
-    made = config("tom", steps=120, tom={"q_lr": 30.0, "q_steps": 1, "warmup": 1, "discount": 0.0})
-    run = train(made, Store(tmp_path), "a", rerun=False)
-    assert (run.status.state, len(run.status.warnings) > 0) == ("finished", True)
-    np.testing.assert_array_equal(run.snapshot(run.snapshot_steps()[-1])["weight"], 1.0)
 
 
 @pytest.mark.quick

@@ -5,7 +5,6 @@ import os
 import signal
 import threading
 import time
-from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,6 @@ from faults import (
     one_line,
     stopped,
     tom,
-    train_command,
     wait_until,
 )
 from kernel import alive, descendants
@@ -30,18 +28,6 @@ from tom.training.resume import resume
 from tom.training.run import train
 
 pytestmark = pytest.mark.fault
-
-
-def test_two_processes_given_the_same_run_id__one_trains_the_other_is_refused_in_one_line(
-    tmp_path: Path,
-):
-    command = train_command(tmp_path / "store", steps=300)
-    results = [ended(p) for p in [tom(*command, "--run-id", "a") for _ in range(2)]]
-    assert sorted(code for code, _, _ in results) == [0, 2]
-    [refused] = [error for code, _, error in results if code == 2]
-    assert "run 'a' exists already" in one_line(refused)
-    [run] = Store(tmp_path / "store").runs()
-    assert (run.status.state, run.status.env_step, run.problems) == ("finished", 300, [])
 
 
 def test_two_processes_that_resume_the_same_run__one_goes_on_the_other_is_refused_in_one_line(
@@ -111,23 +97,6 @@ def test_a_writer_thought_dead_wakes_after_another_machine_took_over__it_writes_
     assert run.status.state == "finished"
     assert (run.path / "metrics.jsonl").read_bytes() == (run.path / "before").read_bytes()
     assert_same_record(run, train(config(), store, "b", rerun=False))
-
-
-def _start_one(path: Path) -> None:
-    train(config(steps=50, exploration_steps=45), Store(path), rerun=False)
-
-
-def test_runs_of_one_learner_and_seed_begun_in_the_same_second__each_has_its_own_folder(
-    tmp_path: Path,
-):
-    fork = get_context("fork")
-    processes = [fork.Process(target=_start_one, args=(tmp_path,)) for _ in range(4)]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join()
-    assert [process.exitcode for process in processes] == [0, 0, 0, 0]
-    assert [run.status.state for run in Store(tmp_path).runs()] == ["finished"] * 4
 
 
 @pytest.mark.quick

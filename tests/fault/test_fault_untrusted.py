@@ -26,6 +26,16 @@ from tom.training.resume import resume
 pytestmark = pytest.mark.fault
 
 ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with a stopped run."""
+    path = tmp_path_factory.mktemp("made") / "store"
+    stopped(Store(path), 130)
+    return path
+
+
 MODULES = ("pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal", "yaml", "jsonpickle")
 
 
@@ -69,24 +79,26 @@ class Evil:
 
 @pytest.mark.quick
 def test_code_in_a_checkpoint_with_the_right_hash__is_not_executed_and_the_one_before_is_used(
-    tmp_path: Path,
+    store: Store, tmp_path: Path
 ):
-    run = stopped(Store(tmp_path), 130)
+    run = store.run("a")
     folder = run.path / checkpoint.FOLDER
     newest = folder / f"{checkpoint.newest(folder):09d}"
     torch.save({"training": Evil(tmp_path / "executed")}, newest / "state.pt")
     manifest = json.loads((newest / "manifest.json").read_text())
     manifest["sha256"] = hashlib.sha256((newest / "state.pt").read_bytes()).hexdigest()
     (newest / "manifest.json").write_text(json.dumps(manifest))
-    done = resume(Store(tmp_path), "a", rerun=False)
+    done = resume(store, "a", rerun=False)
     assert done.status.state == "finished"
     assert any(newest.name in text for text in done.status.warnings)
     assert not (tmp_path / "executed").exists()
 
 
 @pytest.mark.parametrize("name", ["buffer/000000000.npz", "episodes/000000080.npz", "policy.npz"])
-def test_code_in_an_array_file__is_not_executed_and_the_file_named(tmp_path: Path, name: str):
-    run = stopped(Store(tmp_path), 130)
+def test_code_in_an_array_file__is_not_executed_and_the_file_named(
+    store: Store, tmp_path: Path, name: str
+):
+    run = store.run("a")
     evil = np.array([Evil(tmp_path / "executed")], dtype=object)
     np.savez(run.path / name, reward_0=evil, obs=evil, weight_0=evil, env=evil)
     reader = RunReader(run.path)
@@ -115,9 +127,9 @@ MARKUP = (
 FORMULA = "=cmd|'/C calc'!A1"
 
 
-def crafted(store: Path, words: str) -> RunReader:
+def crafted(store: Store, words: str) -> RunReader:
     """A run whose every text is `words`."""
-    run = stopped(Store(store), 130)
+    run = store.run("a")
     description = json.loads((run.path / "config.json").read_text())
     for key in ("learner", "preset", "command", "git_commit"):
         description[key] = words
@@ -133,7 +145,7 @@ def crafted(store: Path, words: str) -> RunReader:
     (run.path / "labels.json").write_text(
         json.dumps({"name": words, "tags": [words], "note": words})
     )
-    (store / f"folder {words.replace('/', '')}").mkdir()
+    (store.path / f"folder {words.replace('/', '')}").mkdir()
     (run.path / "buffer" / f"0{words.replace('/', '')}.npz").touch()
     return run
 
@@ -143,10 +155,10 @@ def crafted(store: Path, words: str) -> RunReader:
     "verb", [("runs", "list"), ("runs", "show", "a"), ("runs", "verify"), ("doctor",), ("runs",)]
 )
 def test_terminal_escapes_in_a_run_and_in_folder_names__are_printed_as_plain_words(
-    verb: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    verb: tuple[str, ...], store: Store, capsys: pytest.CaptureFixture[str]
 ):
-    crafted(tmp_path, ESCAPES)
-    main([*verb, "--store", str(tmp_path)])
+    crafted(store, ESCAPES)
+    main([*verb, "--store", str(store.path)])
     said = capsys.readouterr()
     for line in (said.out + said.err).split("\n"):
         assert line.isprintable(), line
@@ -164,9 +176,9 @@ def test_terminal_escapes_in_what_is_asked_for__are_printed_as_plain_words(
 
 @pytest.mark.quick
 def test_markup_in_the_settings_of_small_copies__is_plain_words_in_the_page_about_them(
-    tmp_path: Path,
+    store: Store,
 ):
-    run = crafted(tmp_path, MARKUP)
+    run = crafted(store, MARKUP)
     page = index([run], [])
     outside, inside = [], ""
     for line in page.split("\n"):
@@ -182,8 +194,8 @@ def test_markup_in_the_settings_of_small_copies__is_plain_words_in_the_page_abou
 
 
 @pytest.mark.quick
-def test_a_metric_named_as_a_formula__is_a_text_in_the_csv(tmp_path: Path):
-    run = crafted(tmp_path, FORMULA)
+def test_a_metric_named_as_a_formula__is_a_text_in_the_csv(store: Store, tmp_path: Path):
+    run = crafted(store, FORMULA)
     table = pd.read_csv(export(run, "csv", tmp_path / "out"))
     assert "'" + FORMULA in table.columns
     assert not [name for name in table.columns if name[0] in "=+-@"]
