@@ -40,6 +40,7 @@ def train(folder: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_the_page_in_few_steps(folder: Path, capsys: pytest.CaptureFixture):
     script = (folder / "train.py").read_text()
     for many, few in zip(STEPS, FEW, strict=True):
