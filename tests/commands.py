@@ -8,6 +8,8 @@ from pathlib import Path
 from subprocess import CompletedProcess
 from tempfile import TemporaryDirectory
 
+import pytest
+
 from tom.cli import main
 
 PRELOADED = ["tom.training.run", "tom.analysis.weighing", "tom.reports.html"]
@@ -19,6 +21,14 @@ def code_of(words: Sequence[str]) -> int:
         return main(words)
     except SystemExit as stop:
         return int(str(stop.code))
+
+
+def refused(words: Sequence[str], capsys: pytest.CaptureFixture[str], named: str = "") -> None:
+    """`tom` cannot use these words: exit code 2, and one line with `named` in it."""
+    capsys.readouterr()
+    code, said = code_of(words), capsys.readouterr()
+    assert (code, said.out, said.err.count("\n")) == (2, "", 1), said
+    assert named in said.err
 
 
 def tom_process(words: Sequence[str], folder: Path) -> CompletedProcess[str]:

@@ -10,7 +10,10 @@ import torch
 
 from tom.config import OnlineConfig
 from tom.errors import UserError
-from tom.events import Event
+from tom.events import Event, Metrics, Tick
+from tom.record import Store
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 from tom.training.presets import resolve
 from tom.training.run import Stop
 
@@ -26,6 +29,24 @@ def online(
     config = resolve(env, learner, preset, changes)
     assert isinstance(config, OnlineConfig)
     return config
+
+
+def measured(
+    store: Store,
+    run_id: str,
+    learner: str,
+    seed: int,
+    *steps: tuple[int, dict[Any, float]],
+    env: str = "hopper",
+    preset: str = "paper",
+    **changes: Any,
+) -> None:
+    """Record a run with these metrics at these steps."""
+    config = resolve(env, learner, preset, {"seed": seed, **changes})
+    with Recorder(RunWriter.create(store, run_id, config)) as recorder:
+        for step, values in steps:
+            recorder.consume(Metrics(step, values))
+            recorder.consume(Tick(step, "evaluate"))
 
 
 def stopping_at(step: int) -> tuple[Stop, tuple[Callable[[Event], None]]]:
