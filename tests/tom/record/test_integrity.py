@@ -6,12 +6,10 @@ import shutil
 from pathlib import Path
 
 import pytest
-from killed import killed_at_rename
-from recorded import Config, events, weights
+from recorded import Config, events
 
 from tom.errors import UserError
-from tom.record import RunReader, Store, checkpoint, integrity, manage
-from tom.record.decode import read_table
+from tom.record import RunReader, Store, checkpoint, manage
 from tom.record.export import export_small
 from tom.record.integrity import repair, verify
 from tom.record.recorder import Recorder
@@ -39,11 +37,8 @@ def test_a_whole_run_has_no_problems_and_nothing_to_repair(record, copied: bool)
     assert contents(run.path) == before
 
 
-@pytest.mark.parametrize(
-    "name", ["episodes/000000500.npz", "buffer/000000000.npz", "weights/snapshot-000001000.parquet"]
-)
-def test_a_damaged_array_is_named_and_set_aside(record, name: str):
-    run = record()
+def test_a_damaged_array_is_named_and_set_aside(record):
+    run, name = record(), "episodes/000000500.npz"
     truncate(run.path / name)
     damaged = (run.path / name).read_bytes()
     (problem,) = verify(run)
@@ -92,23 +87,6 @@ def test_a_run_that_is_written_is_not_touched(store: Store):
             repair(store.run("run"))
 
 
-@pytest.mark.fault
-@pytest.mark.quick
-@pytest.mark.parametrize("number", [1, 2, 3])
-def test_a_repair_killed_at_a_rename__leaves_every_row_and_the_next_one_repairs_it(
-    record, number: int
-):
-    run = record()
-    rows = run.path / "notices.jsonl"
-    rows.write_bytes(b"damaged\n" + rows.read_bytes())
-    held = run.notices()
-    killed_at_rename(number, lambda: repair(run))
-    assert run.notices() == held
-    repair(run)
-    assert run.notices() == held
-    assert verify(run) == []
-
-
 def test_sizes_and_pruning_checkpoints(record, tmp_path: Path):
     run = record("run", events()[:200])
     for step in (100, 200, 300):
@@ -147,32 +125,21 @@ def flip(path: Path, at: int) -> None:
     path.write_bytes(content)
 
 
-@pytest.mark.fault
-@pytest.mark.quick
-@pytest.mark.parametrize(
-    "name",
-    ["weights/snapshot-000001000.parquet", "metrics.jsonl", "buffer/000000000.npz", "config.json"],
-)
-def test_a_bit_flipped_in_any_file_of_a_finished_run__is_found_by_its_digest(record, name: str):
+def test_a_changed_bit_of_a_finished_run_is_found_by_its_digest(record):
     run = record()
-    size = (run.path / name).stat().st_size
-    for at in range(0, size, max(size // 40, 1)):
-        flip(run.path / name, at)
-        assert any(name in problem for problem in verify(run)), at
-        flip(run.path / name, at)
+    for name in ("weights/snapshot-000001000.parquet", "metrics.jsonl", "config.json"):
+        for at in (0, (run.path / name).stat().st_size - 1):
+            flip(run.path / name, at)
+            assert any(name in problem for problem in verify(run)), at
+            flip(run.path / name, at)
     assert verify(run) == []
 
 
-def test_a_file_that_is_gone_and_digests_that_are_damaged_are_named(record):
+def test_a_file_that_is_gone_is_named(record):
     run = record()
     (run.path / "episodes" / "000000500.npz").unlink()
     (problem,) = verify(run)
     assert problem.startswith("episodes/000000500.npz")
-    truncate(run.path / "digests.json")
-    (problem,) = verify(run)
-    assert problem.startswith("digests.json")
-    assert len(repair(run)) == 1
-    assert verify(run) == []
 
 
 def test_what_people_change_afterwards_and_old_runs_without_digests_are_no_problems(
@@ -203,23 +170,3 @@ def test_a_run_that_has_not_finished_has_no_digests_and_a_small_copy_has_its_own
     ):
         raise RuntimeError("it ends early")
     assert not (tmp_path / "b" / "digests.json").exists()
-
-
-def test_a_snapshot_that_the_training_deletes_meanwhile_is_no_damage(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-):
-    """It was there when the files of the run were listed."""
-    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
-        for step in (100, 200):
-            recorder.consume(weights(step))
-        replaced = store.path / "run" / "weights/snapshot-000000200.parquet"
-
-        def read(path: Path) -> object:
-            if path == replaced:
-                recorder.consume(weights(300))
-            return read_table(path)
-
-        monkeypatch.setattr(integrity, "read_table", read)
-        assert replaced.exists()
-        assert verify(store.run("run")) == []
-        assert not replaced.exists()

@@ -71,15 +71,13 @@ def test_the_buffer_ends_where_a_segment_is_missing_or_damaged(record):
     assert problem(run).startswith("buffer/000000000.npz")
 
 
-@pytest.mark.parametrize(
-    "text", ["", "{", "[]", "\x00", '{"total": "9"}', '{"state": "running", "heartbeat": "now"}']
-)
-def test_a_damaged_status_is_unknown(record, text: str):
+def test_a_damaged_status_is_unknown(record):
     run = record()
-    (run.path / "status.json").write_text(text)
-    assert run.status.state == "unknown"
-    assert not run.status.alive
-    assert problem(run).startswith("status.json")
+    for text in ("", '{"state": "running", "heartbeat": "now"}'):
+        (run.path / "status.json").write_text(text)
+        damaged = RunReader(run.path)
+        assert (damaged.status.state, damaged.status.alive) == ("unknown", False)
+        assert problem(damaged).startswith("status.json")
 
 
 @pytest.mark.parametrize(("age", "shown"), [(0, "running"), (20, "running"), (31, "dead")])
@@ -93,32 +91,29 @@ def test_a_run_whose_heart_stopped_is_dead(record, age: float, shown: str):
     assert run.status.alive == (shown == "running")
 
 
-@pytest.mark.parametrize(
-    ("part", "step", "file"),
-    [
-        ("facts", 0, "labels.json"),
-        ("metrics", 0, "metrics.jsonl"),
-        ("profiles", 0, "weights/profiles.jsonl"),
-        ("notices", 0, "notices.jsonl"),
-        ("snapshot", 400, "weights/snapshot-000000400.parquet"),
-        ("episodes", 500, "episodes/000000500.npz"),
-        ("policies", 500, "policies/000000500.npz"),
-        ("buffer", 0, "buffer/000000000.npz"),
-        ("model", 0, "checkpoint/000000500/state.pt"),
-        ("scene", 0, "scene.npz"),
-        ("recordings", 0, "run.rrd"),
-    ],
-)
-def test_the_version_of_a_part_changes_with_its_files_alone(record, part, step: int, file: str):
+def test_the_version_of_a_part_changes_with_its_files_alone(record):
     run = record()
-    others = {"metrics", "profiles", "notices", "buffer", "model"} - {part}
-    before = run.version(part, step), {other: run.version(other) for other in others}
-    path = run.path / file
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("ab") as changed:
-        changed.write(b"more")
-    assert run.version(part, step) != before[0]
-    assert {other: run.version(other) for other in others} == before[1]
+    parts: dict[tuple, str] = {
+        ("facts",): "labels.json",
+        ("metrics",): "metrics.jsonl",
+        ("profiles",): "weights/profiles.jsonl",
+        ("notices",): "notices.jsonl",
+        ("snapshot", 400): "weights/snapshot-000000400.parquet",
+        ("episodes", 500): "episodes/000000500.npz",
+        ("policies", 500): "policies/000000500.npz",
+        ("buffer",): "buffer/000000000.npz",
+        ("model",): "checkpoint/000000500/state.pt",
+        ("scene",): "scene.npz",
+        ("recordings",): "run.rrd",
+    }
+    watched = [("metrics",), ("profiles",), ("notices",), ("buffer",), ("model",)]
+    for part, file in parts.items():
+        before = {one: run.version(*one) for one in {*watched, part}}
+        path = run.path / file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("ab") as changed:
+            changed.write(b"more")
+        assert {one for one in before if run.version(*one) != before[one]} == {part}
 
 
 def test_what_is_not_there_is_empty(tmp_path):
@@ -138,6 +133,7 @@ def test_recordings_are_in_the_order_they_were_written(record):
     assert [path.name for path in run.rrd_files()] == ["run.rrd", "run-2.rrd", "run-10.rrd"]
 
 
+@pytest.mark.slow
 def test_tables_are_read_without_a_thread_that_outlives_it(record):
     """One of Arrow's that is alive at its end may abort a process that has done everything."""
     run = record()

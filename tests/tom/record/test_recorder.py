@@ -211,15 +211,6 @@ def test_the_status_of_a_finished_run(record):
     assert (status.last_return, status.best_return) == (-5000, 2500)
 
 
-def test_a_mark_that_cannot_be_gone_back_to_lets_go_of_the_run(store: Store):
-    writer = RunWriter.create(store, "run", Config)
-    with pytest.raises(KeyError):
-        Recorder(writer, mark={"files": {}})
-    assert store.run("run").status.state == "failed"
-    assert not lock.held(writer.path)
-    assert "heartbeat" not in {thread.name for thread in threading.enumerate()}
-
-
 def test_speed_and_time_left_follow_the_clock(store: Store):
     now = [1000.0]
     writer = RunWriter.create(store, "run", Config)
@@ -281,12 +272,3 @@ def test_two_writers_of_one_run_are_refused(store: Store):
     writer.close()
     assert not lock.held(writer.path)
     RunWriter(store.path / "run", Config).close()
-
-
-def test_a_run_that_cannot_be_made_leaves_nothing(store: Store, monkeypatch):
-    monkeypatch.setenv("PATH", "")  # no git: still fine
-    circular: list[object] = []
-    circular.append(circular)
-    with pytest.raises(RecursionError):
-        RunWriter.create(store, "run", Config, matmul=circular)
-    assert list(store.path.iterdir()) == []

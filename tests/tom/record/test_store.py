@@ -16,7 +16,7 @@ def test_runs_come_newest_first(store: Store):
     assert store.problems == []
 
 
-def test_what_is_no_run_is_named_and_does_not_stop_the_others(store: Store, tmp_path: Path):
+def test_what_is_no_run_is_named_and_does_not_stop_the_others(store: Store):
     RunWriter.create(store, "good", Config).close()
     RunWriter.create(store, "newer", Config).close()
     newer = json.loads((store.path / "newer" / "config.json").read_text()) | {"schema": 9}
@@ -26,48 +26,23 @@ def test_what_is_no_run_is_named_and_does_not_stop_the_others(store: Store, tmp_
     (store.path / "half" / "config.json").write_text('{"schema": 1, "env": "hop')
     (store.path / "foreign").mkdir()
     (store.path / "foreign" / "config.json").write_text('{"model_type": "bert"}')
-    (store.path / "bad name").mkdir()
     (store.path / ".trash").mkdir()
     (store.path / "weighings").mkdir()
     (store.path / "README.md").touch()
-    (tmp_path / "outside").mkdir()
-    (store.path / "link").symlink_to(tmp_path / "outside")
     assert [run.run_id for run in store.runs()] == ["newer", "good"]
-    named = ("empty", "half", "foreign", "bad name", "link")
-    assert sum(any(name in problem for problem in store.problems) for name in named) == 5
-    assert len(store.problems) == 5
+    named = ("empty", "half", "foreign")
+    assert sum(any(name in problem for problem in store.problems) for name in named) == 3
+    assert len(store.problems) == 3
     assert store.run("newer").problems
 
 
-@pytest.mark.parametrize(
-    "run_id",
-    [
-        *("", ".", "..", "../x", "a/../../x", "/etc/passwd", "a/b", ".hidden", "-x"),
-        *("a\0b", "a\n", "a" * 101, "ä", "a b", "<script>"),
-    ],
-)
+@pytest.mark.parametrize("run_id", ["", "..", "a/../../x", "/etc/passwd", ".hidden", "a" * 101])
 def test_ids_that_could_leave_the_store_are_refused(store: Store, run_id: str):
     with pytest.raises(UserError, match="no run id"):
         store.run(run_id)
     with pytest.raises(UserError, match="no run id"):
         RunWriter.create(store, run_id, Config)
     assert not store.path.exists()
-
-
-def test_a_link_out_of_the_store_is_not_followed(store: Store, tmp_path: Path):
-    RunWriter.create(Store(tmp_path / "other"), "run", Config).close()
-    store.path.mkdir()
-    (store.path / "run").symlink_to(tmp_path / "other" / "run")
-    with pytest.raises(UserError, match="is a link"):
-        store.run("run")
-    with pytest.raises(UserError, match="is a link"):
-        RunWriter.create(store, "run", Config)
-
-
-def test_an_unknown_run_names_those_there_are(store: Store):
-    RunWriter.create(store, "here", Config).close()
-    with pytest.raises(UserError, match=r"no run 'there' in .*newest: here"):
-        store.run("there")
 
 
 def test_a_store_that_is_a_file(tmp_path: Path):
@@ -86,14 +61,4 @@ def test_new_ids_are_free_and_say_what_they_are(store: Store):
         assert run_id.startswith("hopper-tom-s4-")
         RunWriter.create(store, run_id, Config).close()
         taken.add(run_id)
-    assert len(taken) == 3
-
-
-def test_weighings_of_the_same_second_have_folders_of_their_own(store: Store):
-    taken = set()
-    for _ in range(3):
-        folder = store.new_weighing(".hopper-by-its-own")
-        folder.mkdir(parents=True)
-        assert folder.name.startswith("hopper-by-its-own-")
-        taken.add(folder)
     assert len(taken) == 3
