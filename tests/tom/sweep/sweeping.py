@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 
 import pandas as pd
+from same_records import untimed
 
 from tom.record import RunReader, Store, checkpoint
 from tom.sweep.driver import Driver
@@ -19,7 +20,6 @@ PLAN = {
     "settings": {"checkpoint_every": EVERY},
 }
 WAIT_S = 240.0
-CLOCKS = ("time/wall_s", "time/record_s", "time/env_steps_per_s", "time/checkpoint_s")
 
 
 def plan(**changes) -> list[Trial]:
@@ -40,12 +40,6 @@ def finish(driver: Driver) -> None:
     driver.stop()
 
 
-def numbers(run: RunReader) -> pd.DataFrame:
-    """What a run measured, without its clocks."""
-    table = run.metrics()
-    return table.drop(columns=[name for name in table if str(name) in CLOCKS])
-
-
 def assert_same_runs(store: Store, undisturbed: Store) -> None:
     """All runs finished, every number as in peace, to the last bit."""
     found = {run.run_id: run for run in store.runs()}
@@ -53,7 +47,7 @@ def assert_same_runs(store: Store, undisturbed: Store) -> None:
     for run_id, run in found.items():
         assert run.status.state == "finished", run_id
         pd.testing.assert_frame_equal(
-            numbers(run), numbers(undisturbed.run(run_id)), check_exact=True
+            untimed(run), untimed(undisturbed.run(run_id)), check_exact=True
         )
 
 

@@ -51,14 +51,11 @@ def test_of_a_run_that_goes_on_what_is_left_is_counted(tmp_path: Path):
     assert (none.hours, none.megabytes) == (0, 0)
 
 
-@pytest.mark.parametrize("content", ["{", "[]", '{"SAC update": 1}', json.dumps({**MS, "x": 1})])
-def test_a_measurement_is_kept_whole_or_not_at_all(content: str):
+def test_a_measurement_is_kept_whole_or_not_at_all():
     assert projection.last_bench() is None
     projection.save_bench(MS)
     assert projection.last_bench() == MS
-    cache_file("bench").write_text(content)
-    assert projection.last_bench() == (MS if "x" in content else None)
-    projection.save_bench({**MS, "SAC update": float("nan")})
+    cache_file("bench").write_text('{"SAC update": 1}')
     assert projection.last_bench() is None
 
 
@@ -87,16 +84,6 @@ def test_without_runs_a_robot_is_judged_by_the_bench(tmp_path: Path, capsys):
         assert row["megabytes"] == pytest.approx(written / 1e6)
     assert rows["road-and-rocks", "tom"]["hours"] is None
     assert found["hours"] == pytest.approx(rows["hopper", "tom"]["hours"])  # beside the other
-
-
-def test_only_toms_own_work_is_toms(tmp_path: Path):
-    ms = {}
-    for learner in ("tom", "mle", "vagram-ensemble"):
-        config = resolve("hopper", learner, "paper")
-        assert isinstance(config, OnlineConfig)
-        ms[learner] = per_step_ms(config, ENVS["hopper"], MS)
-    assert ms["tom"] - ms["mle"] == pytest.approx((1000 + 100 + 125_000 / 2 / 1000) / 250)
-    assert ms["vagram-ensemble"] > 0
 
 
 def test_bytes_are_those_of_a_run_that_was_made():
