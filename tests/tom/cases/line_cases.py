@@ -72,11 +72,9 @@ def register(name: str, kind: type[Line] = Line, limit: int = LIMIT, **parts: ob
 
 
 LINE = register("Line")
-WIDE = register("LineWide", limits=(0.0, 9e5), offset=np.full(2, 2.0))
 FAR = register("LineFar", offset=np.array([1.7e9, 0.0]), obs_type=np.float64)
 FLAT = register("LineFlat", scale=np.array([1.0, 1e-7]))
 TWICE = register("LineTwice", bounds=(-2.0, 2.0))
-LONG = register("LineLong", limit=400)
 RESTLESS, BOTH = register("LineRestless", Restless), register("LineBoth", Both)
 
 
@@ -154,14 +152,6 @@ def inverted(next_obs: Tensor) -> Tensor:
     return ~right(next_obs)
 
 
-def never(next_obs: Tensor) -> Tensor:
-    return torch.zeros(len(next_obs), dtype=torch.bool)
-
-
-def tight(next_obs: Tensor) -> Tensor:
-    return next_obs[:, 0].abs() > 0.5
-
-
 # Policies
 
 
@@ -179,12 +169,6 @@ class Network(torch.nn.Module):
         return self.mean(obs), self.mean(obs) * 0 - 1.0
 
 
-class Drawn(Network):
-    def forward(self, obs: Tensor) -> tuple[Tensor, Tensor]:
-        noise = torch.randn_like(self.mean(obs))
-        return torch.tanh(self.mean(obs) + 0.37 * noise), -(noise**2)
-
-
 class Deviating(Network):
     def forward(self, obs: Tensor) -> tuple[Tensor, Tensor]:
         return self.mean(obs), self.mean(obs) * 0 + 0.37
@@ -198,24 +182,6 @@ class Valued(Network):
 class Acting(Network):
     def forward(self, obs: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
         return torch.tanh(5 * self.mean(obs))
-
-
-def with_state(obs: NDArray) -> tuple[NDArray, None]:
-    return np.clip(-obs[:, :1], -1, 1), None
-
-
-class Array:
-    """What numpy takes for an array."""
-
-    def __init__(self, values: NDArray) -> None:
-        self.values = values
-
-    def __array__(self, dtype=None, copy=None) -> NDArray:
-        return self.values
-
-
-def array_like(obs: NDArray) -> Array:
-    return Array(np.clip(-obs[:, :1], -1, 1))
 
 
 def outside(obs: NDArray) -> NDArray:

@@ -5,22 +5,17 @@ from pathlib import Path
 
 import line_cases as cases
 import numpy as np
-import onnx
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
 from commands import code_of
-from line_cases import FAR, FLAT, LINE, TWICE, WIDE, Columns, N, good, ordered, without
-from onnx import TensorProto, helper
+from line_cases import FAR, FLAT, LINE, TWICE, Columns, N, good, ordered, without
 
 import tom
 from tom.analysis.ordered_data import OrderedData, action_bounds, load_data
-from tom.analysis.weighing import ASKED, load_policy
-from tom.data.card import successive
 from tom.envs import bring, task
 from tom.errors import UserError
-from tom.policy.collect import footprint
 from tom.record import RunReader, Store
 
 QUICK = [
@@ -32,7 +27,7 @@ QUICK = [
 @pytest.fixture(autouse=True)
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    for env in (LINE, WIDE, FAR, FLAT, TWICE):
+    for env in (LINE, FAR, FLAT, TWICE):
         bring(env)
 
 
@@ -71,21 +66,14 @@ SHUFFLED = np.random.default_rng(1).permutation(N)
     [
         (good() | {"terminated": 1.0 - good()["terminated"]}, ["flags"], None),
         (good() | {"terminated": ENDS}, ["both-flags", "ends-at-limit"], 0),
-        (good() | {"terminated": ENDS, "truncated": NONE}, ["ends-at-limit"], 0),
         (good() | {"truncated": NONE}, ["order"], BREAKS),
         (ordered(good(), SHUFFLED), ["order"], None),
-        (ordered(without("truncated"), SHUFFLED), ["order"], None),
-        (ordered(good(), np.arange(N).reshape(4, -1).T.ravel()), ["order"], None),
-        (ordered(good(), np.roll(np.arange(N), 777)), ["order"], 1),
         (cases.next_step_reset(good()), ["order"], 0),
         (good() | {"next_obs": np.roll(good()["obs"], -1, 0)}, ["order"], 0),
         (without("next_obs"), ["no-next-obs"], 0),
         (cases.first(1), ["few-rows"], 0),
         (cases.noise(good()), [], 0),
         (without("truncated"), [], 0),
-        ({n: v.astype(np.float64) for n, v in good().items()}, [], 0),
-        ({n: v.astype(">f4") for n, v in good().items()}, [], 0),
-        ({n: v.astype(np.float16) if n == "obs" else v for n, v in good().items()}, [], 0),
         (good() | {"infos": np.array([{}] * N, object), "name": np.array(["a"] * N)}, [], 0),
     ],
 )
@@ -95,23 +83,9 @@ def test_rows_that_contradict_themselves_have_their_notice(columns, expected, br
     assert breaks in (None, data.card.breaks)
 
 
-def test_a_tolerance_finds_the_same_episodes():
-    assert loaded(cases.noise(good())).card.episodes == loaded(good()).card.episodes
-    columns = good()
-    follows = successive(columns["obs"], columns["next_obs"])
-    np.testing.assert_array_equal(~follows, cases.ends(columns)[:-1])
-
-
-@pytest.mark.parametrize(
-    "flags",
-    [
-        {"terminated": np.where(good()["terminated"], 1, -1)},
-        {"truncated": good()["truncated"] * 0.5},
-    ],
-)
-def test_flags_that_are_none_are_refused(flags: Columns):
+def test_flags_that_are_none_are_refused():
     with pytest.raises(UserError, match="other than 0 and 1"):
-        loaded(good() | flags)
+        loaded(good() | {"terminated": np.where(good()["terminated"], 1, -1)})
 
 
 def test_lost_terminations_are_counted():
@@ -131,20 +105,10 @@ def test_actions_of_another_scale_are_noticed():
     assert codes(loaded(doubled, TWICE)) == []
 
 
-@pytest.mark.parametrize(
-    "other",
-    [
-        pa.array(["a"] * N),
-        pa.array(["a"] * N).dictionary_encode(),
-        pa.array([b"a"] * N),
-        pa.array([{"a": "b"}] * N),
-        pa.array([None] * N, pa.decimal128(30, 2)),
-    ],
-)
-def test_other_columns_of_parquet_are_ignored(other: pa.Array):
+def test_other_columns_of_parquet_are_ignored():
     columns = {n: pa.array(list(v)) if v.ndim == 2 else pa.array(v) for n, v in good().items()}
     half = good()["obs"].astype(np.float16)
-    columns |= {"obs": pa.array(list(half)), "other": other}
+    columns |= {"obs": pa.array(list(half)), "other": pa.array([{"a": "b"}] * N)}
     columns["reward"] = columns["reward"].cast(pa.decimal128(12, 6), safe=False)
     pq.write_table(pa.table(columns), "data.parquet")
     data = load_data("data.parquet", Store(Path("runs")), LINE)
@@ -153,36 +117,12 @@ def test_other_columns_of_parquet_are_ignored(other: pa.Array):
     np.testing.assert_allclose(data.transitions.reward, good()["reward"], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("names", "said"),
-    [
-        ({"terminated": "dones"}, "'terminated', 1 where"),
-        ({"obs": "observations_0"}, "d3rlpy"),
-    ],
-)
-def test_columns_of_other_libraries_point_the_way(names: dict[str, str], said: str):
-    with pytest.raises(UserError, match=said):
-        loaded({names.get(name, name): values for name, values in good().items()})
-
-
-def test_an_id_of_minari_and_a_part_of_a_run_point_the_way():
-    with pytest.raises(UserError, match="minari download"):
-        load_data("mujoco/hopper/medium-v0", Store(Path("runs")), LINE)
-    part = Path("runs/one/buffer")
-    part.mkdir(parents=True)
-    (part.parent / "config.json").write_text("{}")
-    np.savez(part / "000.npz", allow_pickle=False, **good())
-    with pytest.raises(UserError, match="name the run"):
-        load_data(str(part / "000.npz"), Store(Path("runs")), LINE)
-
-
 # Scales
 
 
 @pytest.mark.parametrize(
     ("env", "scale", "offset"),
     [
-        (WIDE, (1.0, 1.0), (2.0, 2.0)),
         (FAR, (1.0, 1.0), (1.7e9, 0.0)),
         (FLAT, (1.0, 1e-7), (0.0, 0.0)),
     ],
@@ -208,13 +148,15 @@ TRAIN = ["train", "--learner", "tom", "--preset", "smoke", "--no-rerun", "--run-
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--env", LINE, "--termination", "line_cases:right"], set()),
         (["--env", LINE, "--termination", "line_cases:inverted"], {"rule"}),
-        (["--env", cases.LONG, "--termination", "line_cases:never"], {"rule"}),
-        (["--env", LINE, "--termination", "line_cases:tight"], {"rule"}),
-        (["--env", cases.RESTLESS], {"seed"}),
-        (["--env", cases.BOTH], {"both-flags", "ends-at-limit"}),
-        (["--env", FLAT], {"scale"}),
+        *(
+            pytest.param(["--env", env, *words], expected, marks=pytest.mark.slow)
+            for env, words, expected in (
+                (LINE, ["--termination", "line_cases:right"], set()),
+                (cases.RESTLESS, [], {"seed"}),
+                (cases.BOTH, [], {"both-flags", "ends-at-limit"}),
+            )
+        ),
     ],
 )
 def test_a_training_notices_a_task_or_rule_that_is_wrong(words, expected, capsys):
@@ -225,25 +167,18 @@ def test_a_training_notices_a_task_or_rule_that_is_wrong(words, expected, capsys
     assert all(json.loads(line)["message"] in said for line in lines)
 
 
-@pytest.mark.parametrize(
-    ("field", "changed"),
-    [
-        ("obs_scale", [10.0, 10.0]),
-        ("rewards", [5.0] * 10),
-    ],
-)
-def test_a_task_that_is_not_the_recorded_one_is_named(field: str, changed: object, capsys):
+def test_a_task_that_is_not_the_recorded_one_is_named(capsys):
     assert code_of([*TRAIN, "--env", LINE, "--steps", "300"]) == 0
     run = RunReader(Path("runs/run").absolute())
     recorded = run.config
-    recorded["task"][field] = changed
+    recorded["task"]["rewards"] = [5.0] * 10
     (run.path / "config.json").write_text(json.dumps(recorded))
     assert codes(load_data("run", Store(Path("runs")), LINE)) == ["task"]
     capsys.readouterr()
     code_of(["train", "--env", LINE, "--resume", "run", "--steps", "320", "--no-rerun"])
     notices = RunReader(run.path).notices()
     assert [row["code"] for row in notices] == ["task"]
-    assert field in notices[0]["message"]
+    assert "rewards" in notices[0]["message"]
 
 
 # Policies
@@ -256,16 +191,9 @@ def saved(network: cases.Network) -> str:
     return "policy.pt"
 
 
-def facts(name: str, env: str = LINE):
-    data, known = loaded(good(), env), task(env)
-    policy = load_policy(name, Store(Path("runs")), known)
-    return policy, policy.facts(data.transitions.obs[:ASKED]), data  # pyright: ignore[reportAttributeAccessIssue]
-
-
 @pytest.mark.parametrize(
     ("network", "spread"),
-    [(cases.Network, None), (cases.Drawn, "policy-spread"), (cases.Deviating, "policy-spread"),
-     (cases.Valued, "policy-spread"), (cases.Acting, None)],
+    [(cases.Network, None), (cases.Deviating, "policy-spread"), (cases.Valued, "policy-spread")],
 )  # fmt: skip
 def test_a_second_output_that_is_no_log_std_is_noticed(network, spread):
     report = tom.weigh(
@@ -274,43 +202,6 @@ def test_a_second_output_that_is_no_log_std_is_noticed(network, spread):
     ).report  # fmt: skip
     assert [notice["code"] for notice in report["card"]["notices"]] == ([spread] if spread else [])
     assert report["card"]["policy"]["return"] is not None
-
-
-def test_actions_that_a_policy_draws_itself_are_taken_as_they_are():
-    policy, found, _ = facts(saved(cases.Drawn()))
-    made = footprint(task(LINE), policy, 400, 0, torch.Generator().manual_seed(0)).transitions
-    assert np.std(np.asarray(made.action)) == pytest.approx(0.37, abs=0.08)
-    assert found.spread < 0.5
-
-
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float16])
-def test_a_policy_is_asked_in_its_own_precision(dtype: torch.dtype):
-    policy, *_ = facts(saved(cases.Acting().to(dtype)))
-    obs = torch.tensor([[0.1, 0.0], [-0.1, 0.1]])
-    action = policy(obs, 1, torch.Generator())[0]
-    assert action.flatten().tolist() == pytest.approx(np.tanh([-0.5, 0.25]), abs=2e-3)
-
-
-def test_onnx_of_a_fixed_batch_is_asked_in_parts():
-    for batch in (1, 4):
-        shapes = [helper.make_tensor_value_info(n, TensorProto.DOUBLE, [batch, w])
-                  for n, w in (("obs", 2), ("out", 1))]  # fmt: skip
-        gain = helper.make_tensor("gain", TensorProto.DOUBLE, [2, 1], [0.5, -1.0])
-        nodes = [helper.make_node("MatMul", ["obs", "gain"], ["out"])]
-        graph = helper.make_graph(nodes, "policy", shapes[:1], shapes[1:], [gain])
-        opsets = [helper.make_opsetid("", 17)]
-        onnx.save(helper.make_model(graph, opset_imports=opsets, ir_version=9), "policy.onnx")
-        policy, *_ = facts("policy.onnx")
-        obs = torch.rand(7, 2, generator=torch.Generator().manual_seed(0))
-        action = policy(obs, 1, torch.Generator())[0, :, 0]
-        torch.testing.assert_close(action, 0.5 * obs[:, 0] - obs[:, 1])
-
-
-@pytest.mark.parametrize("function", ["with_state", "array_like"])
-def test_what_functions_return_is_understood(function: str):
-    policy, *_ = facts(f"line_cases:{function}")
-    action = policy(torch.tensor([[0.25, 0.0]]), 3, torch.Generator())
-    assert action.flatten().tolist() == [-0.25] * 3
 
 
 def test_a_policy_of_another_scale_is_noticed():

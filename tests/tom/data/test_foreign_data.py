@@ -3,7 +3,6 @@
 import json
 import os
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from common import one_line
 from tom.data.datasets import initial_obs
 from tom.data.datasets import read_dataset as read_recording
 from tom.data.transitions import Transitions
-from tom.errors import UserError
 
 Columns = dict[str, np.ndarray]
 
@@ -147,9 +145,7 @@ def with_nan(values: np.ndarray) -> np.ndarray:
         ("obs", with_nan, "'obs' .* 2 rows, first in row 2"),
         ("terminated", with_nan, "'terminated' .* 2 rows, first in row 2"),
         ("reward", lambda r: r.astype(np.float64) * 1e300, "'reward' is not finite"),
-        ("obs", lambda o: np.zeros((N, 2, 8, 8)), "'obs'"),
         ("next_obs", lambda o: o[:, :1], "'next_obs' has 1 dimensions, 'obs' has 2"),
-        ("action", lambda a: a.astype("S"), "'action'"),
     ],
 )
 def test_what_is_wrong_is_one_line(tmp_path: Path, columns, name, change, words):
@@ -165,11 +161,6 @@ def test_columns_that_do_not_make_episodes_are_one_line(tmp_path: Path, columns:
     refused(
         npz(tmp_path / "empty.npz", {n: values[:0] for n, values in columns.items()}), "no rows"
     )
-    single = without | {"terminated": np.ones(N, bool), "truncated": TRUNCATED}
-    refused(npz(tmp_path / "single.npz", single), "'next_obs'")
-    for name, column in {"lists": [[1.0], [1.0, 2.0]], "gaps": [1.0, None]}.items():
-        pq.write_table(pa.table({"obs": column}), tmp_path / f"{name}.parquet")
-        refused(tmp_path / f"{name}.parquet", "'obs'")
 
 
 @each_format
@@ -179,14 +170,6 @@ def test_damaged_and_foreign_files_are_one_line(tmp_path: Path, columns: Columns
     (tmp_path / f"text{suffix}").write_text("hello")
     for name in ("cut", "text", "absent"):
         refused(tmp_path / f"{name}{suffix}")
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        torn = bytearray(whole)
-        for place in rng.integers(8, len(whole), 3):
-            torn[place] = rng.integers(256)
-        (tmp_path / f"torn{suffix}").write_bytes(torn)
-        with suppress(UserError):  # anything else fails the test
-            read_dataset(tmp_path / f"torn{suffix}")
 
 
 class Trap:
@@ -202,30 +185,6 @@ def test_pickles_are_not_loaded(tmp_path: Path, columns: Columns, monkeypatch: p
         (tmp_path / name).write_bytes(b"anything")
         refused(tmp_path / name, r"\.npz")
     assert not (tmp_path / "trapped").exists()
-
-
-@pytest.mark.parametrize("way", ["external", "virtual", "link", "soft link to a link"])
-def test_only_data_within_the_file_is_read(tmp_path: Path, columns: Columns, way: str):
-    arrays, name = as_d4rl(columns), "next_observations"
-    own = arrays.pop(name)
-    path, other = hdf5(tmp_path / "a.hdf5", arrays), tmp_path / "other.bin"
-    other.write_bytes(own.tobytes())
-    hdf5(tmp_path / "other.hdf5", {name: own})
-    with h5py.File(path, "a") as file:
-        if way == "link":
-            file[name] = h5py.ExternalLink(str(tmp_path / "other.hdf5"), name)
-        elif way == "soft link to a link":
-            file["there"] = h5py.ExternalLink(str(tmp_path / "other.hdf5"), name)
-            file[name] = h5py.SoftLink("/there")
-        else:
-            stored = [(str(other), 0, own.nbytes)]
-            hidden = "hidden" if way == "virtual" else name
-            file.create_dataset(hidden, own.shape, own.dtype, external=stored)
-        if way == "virtual":
-            layout = h5py.VirtualLayout(own.shape, own.dtype)
-            layout[:] = h5py.VirtualSource(".", "hidden", own.shape, own.dtype)
-            file.create_virtual_dataset(name, layout)
-    refused(path, "within the file")
 
 
 # Minari
@@ -319,44 +278,12 @@ def test_the_inner_folder_and_folders_of_older_versions(minari):
     np.testing.assert_array_equal(read_dataset(root).obs, expected.obs)
 
 
-@pytest.mark.parametrize(
-    ("name", "values", "words"),
-    [
-        ("rewards", np.zeros(1), "episode_2"),
-        ("terminations", np.full(2, np.nan), "'terminated'"),
-        ("observations", np.zeros((3, 7)), "cannot be read"),
-        (None, np.zeros(3), "episode_2"),
-        (None, h5py.ExternalLink("other.hdf5", "/episode_2"), "'episode_2' in .* is a link"),
-    ],
-)
-def test_hdf5_episodes_with_something_else_in_them_are_one_line(minari, name, values, words):
-    root = minari("hdf5")
-    with h5py.File(root / "data/main_data.hdf5", "r+") as file:
-        where = "episode_2" if name is None else f"episode_2/{name}"
-        del file[where]
-        file[where] = values
-    refused(root, words)
-
-
-def test_arrow_columns_without_numbers_are_one_line(minari):
-    root = minari("parquet")
-    [path] = (root / "data/0").glob("*.parquet")
-    table = pq.ParquetFile(path).read()
-    values = pa.array([False, None, True, False])
-    pq.write_table(table.set_column(table.column_names.index("terminations"), "t", values), path)
-    refused(root)
-
-
-def test_damaged_and_empty_folders_are_one_line(minari, tmp_path: Path):
+def test_folders_that_are_none_of_minaris_are_one_line(minari, tmp_path: Path):
     refused(tmp_path, "not a Minari dataset")
     root = minari("hdf5")
     with h5py.File(root / "data/main_data.hdf5", "a") as file:
         del file["episode_0/observations"]
         file["episode_0/observations/goal"] = np.zeros((4, 2))
     refused(root, "flat observations")
-    with h5py.File(root / "data/main_data.hdf5", "w"):
-        pass
-    refused(root, "no episodes")
-    for text in ('{"data_format": "zarr"}', "{"):
-        (root / "data/metadata.json").write_text(text)
-        refused(root)
+    (root / "data/metadata.json").write_text('{"data_format": "zarr"}')
+    refused(root)
