@@ -49,19 +49,14 @@ class Flat(gym.Env):
         return self.second
 
 
-class Failing(Flat):
-    """Goes wrong at its third step."""
+class Late(Flat):
+    """Its third reward is no number."""
 
-    after: tuple | BaseException = (np.full(2, np.inf), 0.0, False, False, {})
     steps = 0
 
     def step(self, action):
         self.steps += 1
-        if self.steps < 3:
-            return self.second
-        if isinstance(self.after, BaseException):
-            raise self.after
-        return self.after
+        return np.zeros(2), np.nan if self.steps == 3 else 0.0, False, False, {}
 
 
 class Strict(Flat):
@@ -84,54 +79,24 @@ class Forgetful(Flat):
 
 
 class Swimming(SwimmerEnv):
-    """A robot that fails at its fifth step, or returns an array that it goes on changing."""
-
-    wrong: Exception | None = None
-    steps = 0
+    """A robot that returns an array that it goes on changing."""
 
     def step(self, action):
-        self.steps += 1
         obs, reward, *_ = super().step(action)
-        if self.steps == 5 and self.wrong is not None:
-            raise self.wrong
         self.own = getattr(self, "own", obs)
         self.own[:] = obs
         return self.own, reward, False, False, {}
 
 
-class Broken(Arm):
-    """Asks MuJoCo for what this version has not."""
-
-    def __init__(self) -> None:
-        raise AttributeError("'MjModel' object has no attribute 'flex_vertedge'")
-
-
-LATE = {
-    "LateInf-v0": ("dimension 0 is inf", (np.full(2, np.inf), 0.0, False, False, {})),
-    "LateNaN-v0": ("reward of nan", (np.zeros(2), np.nan, False, False, {})),
-    "LateWide-v0": (r"shape \(1,\), not \(2,\)", (np.zeros(1), 0.0, False, False, {})),
-    "LateError-v0": (r"ValueError: stuck \(test_gymnasium_task", ValueError("stuck\nand more")),
-}
-IMAGE = gym.spaces.Box(0, 255, (8, 8, 3), np.uint8)
 MADE: dict[str, tuple[type[gym.Env], dict]] = {
     "dm_control/arm-reach-v0": (Arm, {}),
-    "dm_control/arm-broken-v0": (Broken, {}),
-    "dm_control/arm-look-v0": (
-        Arm,
-        {"observation_space": gym.spaces.Dict({**NAMED, "camera": IMAGE})},
-    ),
     "Forgetful-v0": (Forgetful, {}),
+    "Late-v0": (Late, {}),
     "Strict-v0": (Strict, {}),
-    "Pictures-v0": (Flat, {"observation_space": IMAGE}),
-    "Endless-v0": (Flat, {"action_space": gym.spaces.Box(-np.inf, np.inf, (1,))}),
-    "Whole-v0": (Flat, {"action_space": gym.spaces.Box(0, 4, (2,), np.int64)}),
+    "Pictures-v0": (Flat, {"observation_space": gym.spaces.Box(0, 255, (8, 8, 3), np.uint8)}),
     "Still-v0": (Flat, {"action_space": gym.spaces.Box(np.zeros(2), np.arange(2.0))}),
     "Wide-v0": (Flat, {"first": np.zeros(3)}),
-    "Unrewarded-v0": (Flat, {"second": (np.zeros(2), np.nan, False, False, {})}),
-    "Old-v0": (Flat, {"second": (np.zeros(2), 0.0, False, {})}),
-    "SwimStuck-v0": (Swimming, {"wrong": ValueError("stuck")}),
     "Swim-v0": (Swimming, {}),
-    **{name: (Failing, {"after": after}) for name, (_, after) in LATE.items()},
 }
 for name, (kind, parts) in MADE.items():
     gym.register(name, type("Made", (kind,), parts))  # pyright: ignore[reportArgumentType]
@@ -201,7 +166,7 @@ def test_named_arrays_of_deepmind_control_lie_side_by_side():
     assert env.step(np.zeros(2))[0].shape == (3,)
 
 
-@pytest.mark.parametrize("gym_id", [*MUJOCO, "Ant-v5", "Humanoid-v5"])
+@pytest.mark.parametrize("gym_id", ["Swimmer-v5", "Pusher-v5", "Humanoid-v5"])
 def test_a_robot_is_drawn_from_what_its_run_keeps(gym_id: str):
     model = scene.made_model(named(gym_id))
     assert model is not None
@@ -215,19 +180,6 @@ def test_a_robot_is_drawn_from_what_its_run_keeps(gym_id: str):
     assert own.root == pytest.approx(kept.root, abs=1e-5)
     assert (own.floor, model.dt) == (kept.floor, again.dt)
     assert sum(len(shape.size) for shape in own.shapes) >= 3
-
-
-def test_damaged_geometry_is_refused():
-    model = scene.made_model(named("Reacher-v5"))
-    assert model is not None
-    for name, bad in (
-        ("geom_size", np.full((10, 3), np.nan)),
-        ("jnt_bodyid", np.array([0, 1, 2, 99])),
-        ("dt", np.array(0.0)),
-    ):
-        held = scene.arrays(model) | {name: bad}
-        with pytest.raises((ValueError, IndexError)):
-            scene.of_arrays(held)
 
 
 def test_joints_are_found_in_observations_where_they_are():
@@ -266,19 +218,11 @@ def test_rescaled_joints_are_no_joint_positions():
     ("name", "words"),
     [
         ("gymnasium:CartPole-v1", "Discrete"),
-        ("gymnasium:dm_control/arm-look-v0", "Dict"),
-        ("gymnasium:dm_control/arm-broken-v0", r"MuJoCo \d.*docs/tasks.md"),
         ("gymnasium:dm_control/arm-reech-v0", "arm-reach"),
         ("gymnasium:Pictures-v0", r"Box\(8, 8, 3\)"),
-        ("gymnasium:Endless-v0", "dimension 0 are -inf and inf"),
         ("gymnasium:Still-v0", "dimension 0 are 0 and 0"),
-        ("gymnasium:Whole-v0", "int64"),
         ("gymnasium:Wide-v0", r"\(3,\), not \(2,\)"),
-        ("gymnasium:Unrewarded-v0", "reward of nan"),
-        ("gymnasium:Old-v0", "step 1 .* ValueError"),
-        ("gymnasium:SwimStuck-v0", r"step 5 .* ValueError: stuck \(test_gymnasium_task"),
         ("gymnasium:Swimer-v5", "Swimmer"),
-        ("gymnasium:a:b", "MODULE:ID"),
     ],
 )
 def test_what_cannot_be_used_is_one_line(name: str, words: str):
@@ -286,16 +230,13 @@ def test_what_cannot_be_used_is_one_line(name: str, words: str):
         describe(name)
 
 
-@pytest.mark.parametrize("gym_id", LATE)
-def test_a_task_that_goes_wrong_later_is_one_line_that_names_the_step(gym_id: str):
-    env = named(gym_id).make(seed=4)
+def test_a_task_that_goes_wrong_later_is_one_line_that_names_the_step():
+    env = named("Late-v0").make(seed=4)
     env.reset(seed=4)
     env.step(np.zeros(2))
     env.step(np.zeros(2))
-    with pytest.raises(OwnCodeError, match=LATE[gym_id][0]) as error:
+    with one_line("reward of nan at step 3 of the episode of seed 4", OwnCodeError):
         env.step(np.zeros(2))
-    assert "\n" not in str(error.value)
-    assert "step 3 of the episode of seed 4" in str(error.value)
 
 
 def test_the_bounds_of_actions_are_taken_in_double_precision():
@@ -315,9 +256,3 @@ def test_a_rule_is_asked_in_the_tasks_units_and_tried_first():
     RULES["test of numbers"] = lambda obs: obs[:, 0]
     with pytest.raises(UserError, match="bool"):
         rule(known, "test of numbers")
-    RULES["test that fails later"] = lambda obs: obs[:3, 0] > 0
-    later = rule(known, "test that fails later")
-    with pytest.raises(OwnCodeError, match="bool"):
-        later(torch.zeros(4, 2))
-    with pytest.raises(UserError, match="unknown termination"):
-        rule(known, "nevr")

@@ -30,15 +30,3 @@ def test_geometry_is_where_mujoco_itself_puts_it(env: str):
                 back = np.zeros(9)
                 mujoco.mju_quat2Mat(back, np.array([w, x, y, z]))  # pyright: ignore
                 np.testing.assert_allclose(back.reshape(3, 3), rotation, atol=1e-5)
-
-
-def test_what_is_drawn_of_the_hopper_and_the_ant():
-    hopper, ant = (scene.model(env).mj for env in ("hopper", "ant"))
-    drawn = scene.geometry(hopper, hopper.qpos0[None])
-    assert drawn.capsules.size.shape == (4, 2)
-    assert drawn.ellipsoids.size.shape == (0, 3)
-    assert drawn.floor == 0
-    drawn = scene.geometry(ant, ant.qpos0[None])
-    assert drawn.capsules.size.shape == (12, 2)
-    np.testing.assert_allclose(drawn.ellipsoids.size, [[0.25, 0.25, 0.25]])
-    assert scene.model("hopper").dt == 0.008

@@ -107,13 +107,8 @@ def act(obs):
     assert isinstance(obs, np.ndarray) and obs.dtype == np.float32
     return np.clip(obs[:, :2], [-2, 0], [2, 4])
 def wide(obs): return obs
-def many(obs): return obs, obs, obs
 def bad(obs): return obs[:, :2] * np.nan
-def one(obs): return obs[0, :2]
-def ends(obs): raise SystemExit(0)
 def fails(obs): raise KeyError("nothing here")
-def reads(obs): return __import__("json").loads("no JSON")
-number = 3
 """
 
 
@@ -124,14 +119,9 @@ def test_a_function_of_numpy_arrays(tmp_path: Path, monkeypatch):
     assert action.flatten().tolist() == [0.5, -0.5]
     for function, message in {
         "wide": r"maps observations \(2, 3\) to \(2, 3\): it must return actions \(2, 2\), or",
-        "many": r"to \(2, 3\), \(2, 3\), \(2, 3\)",
-        "one": r"to \(2,\)",
         "bad": "no finite number",
-        "fails": "my_policy:fails fails on obs.* .2, 3., .*nothing here.*my_policy.py, line 11",
-        "reads": "my_policy.py, line 12",
-        "ends": "policy my_policy:ends fails on observations",
+        "fails": "my_policy:fails fails on obs.* .2, 3., .*nothing here.*my_policy.py, line 8",
         "none": "module 'my_policy' has no function 'none'",
-        "number": "module 'my_policy' has no function 'number'",
     }.items():
         with one_line(message):
             load(f"my_policy:{function}")
@@ -144,36 +134,18 @@ class Trap:
         return os.mkdir, ("trapped",)
 
 
-class Wide(torch.nn.Module):
-    """For nine observations."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.layer = torch.nn.Linear(9, ACTIONS)
-
-    def forward(self, obs: Tensor) -> Tensor:
-        return self.layer(obs)
-
-
-def test_a_network_of_another_task_says_which_shapes_differ(tmp_path: Path):
-    with one_line(r"mat1 and mat2 shapes .*2x3 and 9x2"):
-        load(saved(tmp_path / "wide.pt", Wide()))
-
-
 def test_files_that_are_no_policy_are_one_line(tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     torch.save({"a": Trap()}, tmp_path / "checkpoint.pt")
     torch.save(Trap(), tmp_path / "old.pth", _use_new_zipfile_serialization=False)
-    (tmp_path / "text.pt").write_text("hello")
     (tmp_path / "text.onnx").write_text("hello")
-    for name in ("checkpoint.pt", "old.pth", "text.pt"):
+    for name in ("checkpoint.pt", "old.pth"):
         with pytest.raises(UserError, match=f"{name} is no TorchScript file"):
             load(name)
     with pytest.raises(UserError, match="is no ONNX file that can be used"):
         load("text.onnx")
-    for name in ("absent.pt", "absent.onnx"):
-        with pytest.raises(UserError, match=f"no policy at {name}"):
-            load(name)
+    with pytest.raises(UserError, match=r"no policy at absent\.pt"):
+        load("absent.pt")
     assert not (tmp_path / "trapped").exists()
 
 

@@ -1,33 +1,12 @@
 """The page on a store's small copies."""
 
-import json
 from pathlib import Path
-
-import pytest
 
 from tom.cli import main
 from tom.record import Store
-from tom.reports.index import index, short_command, small_copies
+from tom.reports.index import index, small_copies
 
 TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun", "--steps", "250"]
-
-
-@pytest.mark.parametrize(
-    ("command", "short"),
-    [
-        ("tom train --env=ant --seed=12 --run-id=a --no-rerun", "tom train --env=ant --seed=N"),
-        ("tom train --seed 3 --store x --steps 5", "tom train --seed N --steps 5"),
-        ("tom weigh a --policy b --seeds 0 1 --out x", "tom weigh a --policy b --seeds 0 1"),
-        ("tom weigh --out x a --policy b", "tom weigh a --policy b"),
-        ("tom weigh --store=x a --seed 3 b", "tom weigh a --seed N b"),
-        ("tom train --no-rerun a --run-id b c", "tom train a c"),
-        ("tom train --seed=3 4", "tom train --seed=N 4"),
-        ("", ""),
-        ("tom train don't", "tom train don't"),
-    ],
-)
-def test_a_command_is_told_without_where_it_wrote(command: str, short: str):
-    assert short_command(command) == short
 
 
 def test_small_copies_alone_are_listed_with_their_numbers(tmp_path: Path, capsys):
@@ -51,11 +30,3 @@ def test_small_copies_alone_are_listed_with_their_numbers(tmp_path: Path, capsys
     assert f"torch {run.config['versions']['torch']}" in page
     assert main(["runs", "export", "--keep", "buffer", "--store", str(store)]) == 2
     assert main(["runs", "export", "--without", "snapshots", "--store", str(store)]) == 2
-
-
-def test_the_commits_of_resumes_are_told_too(tmp_path: Path):
-    assert main([*TRAIN, "--learner", "mle", "--store", str(tmp_path), "--run-id", "one"]) == 0
-    config = Store(tmp_path).run("one").config
-    resumes = [{"git_commit": config["git_commit"]}, {"git_commit": "0123456789abcdef-dirty"}]
-    (tmp_path / "one" / "config.json").write_text(json.dumps({**config, "resumes": resumes}))
-    assert ", 0123456789-dirty |" in index([Store(tmp_path).run("one")], [])
