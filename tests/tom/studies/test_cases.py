@@ -8,12 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
 
 from tom.analysis.weighing import Weighed
-from tom.envs import ENVS, OTHERS, user_code
-from tom.envs.termination import RULES
+from tom.envs import user_code
 from tom.studies import study as module
 from tom.studies.progression import Result
 from tom.studies.road import Story
@@ -114,41 +112,6 @@ def test_the_packages_and_files_that_the_user_named_are_code(
     named = module.code_hash()
     (tmp_path / "own_package/envs/task.py").write_text("x = 1")
     assert len({before, named, module.code_hash()}) == 3
-
-
-def test_a_module_that_is_gone_stops_no_case_that_does_not_need_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setitem(OTHERS, "gone_since:Task-v0", lambda: ENVS["hopper"])
-    monkeypatch.setitem(RULES, "gone_since:fallen", lambda obs: obs[:, 0] > 0)
-    (made,) = each(write, [Step("a", tmp_path / "log")], 1, tmp_path)
-    assert made.text == "aa"
-
-
-class Evil:
-    """Creates a file when it is unpickled."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self):
-        return (Path.touch, (self.path,))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("damage", ["cut", "evil"])
-def test_a_kept_case_that_cannot_be_read_is_computed_again(tmp_path: Path, damage: str):
-    log = tmp_path / "log"
-    list(each(write, [Step("a", log)], 1, tmp_path))
-    (path,) = (tmp_path / FOLDER).iterdir()
-    if damage == "cut":
-        path.write_bytes(path.read_bytes()[:100])
-    else:
-        torch.save(Evil(tmp_path / "executed"), path)
-    (again,) = each(write, [Step("a", log)], 1, tmp_path)
-    assert again.text == "aa"
-    assert log.read_text() == "aa"
-    assert not (tmp_path / "executed").exists()
 
 
 WEIGHTS = np.linspace(0, 2, 5, dtype=np.float32)

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import code_of
 
 from tom.analysis.ordered_data import of_run
 from tom.cli import main
@@ -72,7 +71,6 @@ def test_all_weight_on_new_rows_costs_the_random_half(recording: RunReader):
     assert mle["ess"] == pytest.approx(1.0)
     assert pmac["ess"] < 0.6
     assert pmac["random"] > mle["random"]
-    assert focus(Case(recording.path, "mle", 0, preset="smoke")) == mle
 
 
 def test_toms_rivals_have_the_objectives_of_their_presets():
@@ -95,12 +93,6 @@ def test_the_command_writes_what_it_prints(recording: RunReader, tmp_path: Path,
         "cases",
     }  # fmt: skip
     assert "tom exact" in capsys.readouterr().out
-
-
-def test_bad_input_is_one_line(capsys, tmp_path: Path):
-    assert code_of(["reproduce", "focus", "--steps", "10", "--out", str(tmp_path / "out")]) == 2
-    assert len(capsys.readouterr().err.strip().splitlines()) == 1
-    assert not (tmp_path / "out").exists()
 
 
 def _obs(rows: Transitions) -> set[tuple[float, ...]]:

@@ -1,23 +1,17 @@
 """Every way of weighing on the same frozen buffers: footprint and capacity."""
 
-import json
-import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
-from commands import code_of
 
-from tom.cli import main
 from tom.config import SacRecordingConfig
 from tom.data.transitions import BEHAVIOUR
 from tom.errors import UserError
 from tom.record import RunReader, Store
-from tom.reports.report import write_csv
 from tom.studies import capacity, footprint, frozen
 from tom.studies.footprint import footprint_figure
 from tom.studies.frozen import (
@@ -29,15 +23,7 @@ from tom.studies.frozen import (
 )
 from tom.studies.moments import sign_test
 from tom.studies.study import Row
-from tom.training.presets import resolve
 from tom.training.run import train
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> RunReader:
-    config = resolve("hopper", "mle", "smoke", {"steps": 1500, "snapshots": 10})
-    return train(config, Store(tmp_path_factory.mktemp("store")), "frozen", rerun=False)
-
 
 BASE: Row = {
     "recording": "a",
@@ -90,21 +76,18 @@ def test_a_run_without_its_policies_is_left_out_of_the_ways_that_need_them(
         cases([old], ("uniform", "policy-distance"), [0], 1)
 
 
-@pytest.mark.parametrize("way", ["policy-distance", "pdml", "pmer", "action-ratio"])
+@pytest.mark.parametrize(
+    "way",
+    [
+        "policy-distance",
+        *(pytest.param(way, marks=pytest.mark.slow) for way in ("pdml", "pmer", "action-ratio")),
+    ],
+)
 def test_ways_that_train_no_network_weigh_a_moment(run: RunReader, way: str):
     at = moments(run, 1)[0]
     found = examined(Case(run.path, at, way, rows=300))
     assert 0 < found["ess"] < 1
     assert found["footprint"] != 1
-
-
-@pytest.mark.parametrize("way", ["half-recency", "half-ratio"])
-def test_a_half_leaves_no_row_below_a_half(run: RunReader, way: str):
-    at = moments(run, 1)[0]
-    half, whole = (
-        examined(Case(run.path, at, name, rows=300)) for name in (way, way.removeprefix("half-"))
-    )
-    assert half["ess"] > whole["ess"]
 
 
 def test_ways_share_random_numbers_and_moments_do_not():
@@ -170,14 +153,6 @@ def test_moments_whose_noise_drowns_the_distances_do_not_count_and_are_named():
     assert np.asarray(panel.collections[0].get_offsets())[:, 0].tolist() == [0.3]
 
 
-def test_a_study_whose_every_moment_is_noise_says_so():
-    noise = drowned()[2:]
-    assert footprint.summary(noise) == footprint.head_to_head(noise) == []
-    (line,) = footprint.verdict(noise)
-    assert "Not counted" in line
-    assert not footprint_figure(noise).axes
-
-
 def errors_of(model: str, error: float) -> Row:
     return {f"error {model}": error, f"rollout error {model}": 2 * error}
 
@@ -199,31 +174,6 @@ def test_a_capacitys_summary_by_hand():
     assert linear["one step, below 1"] == 1
     assert small["one step"] == pytest.approx(1.2)
     assert small["one step, below 1"] == 0
-
-
-def test_a_way_without_uniform_weights_beside_it_has_no_row():
-    errors = errors_of("linear", 1.0)
-    found = [
-        dict(BASE, **errors),
-        dict(BASE, way="ratio", **errors),
-        dict(BASE, way="recency", step=200, **errors),
-    ]
-    (row,) = capacity.summary(found)
-    assert (row["way"], row["one step"]) == ("ratio", 1)
-    assert capacity.summary(found[2:]) == []
-
-
-@pytest.mark.parametrize("ways", [("ratio",), ("ratio", "recency"), ("uniform",)])
-def test_a_table_that_compares_nothing_is_one_line(
-    ways: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    table, out = tmp_path / "moments.csv", tmp_path / "out"
-    write_csv(table, [dict(BASE, way=way, **errors_of("linear", 1)) for way in ways])
-    assert main(["reproduce", "capacity", "--from", str(table), "--out", str(out)]) == 2
-    said = capsys.readouterr().err
-    assert "no moment with both uniform and other weights" in said
-    assert said.count("\n") == 1
-    assert not out.exists()
 
 
 def test_two_ways_are_compared_moment_by_moment():
@@ -258,21 +208,6 @@ def test_two_ways_are_compared_moment_by_moment():
     # Nearer in most moments on a, c and d, further on b: as uneven by chance 10 times in 16.
     assert (row["better on"], row["recordings"], row["p"]) == (3, 4, 0.625)
     assert "on top of the discriminator?" in footprint.verdict(outcomes)[-1]
-
-
-def test_a_moment_without_a_footprint_does_not_move_the_others():
-    outcomes = [
-        dict(BASE, way=way, step=step, footprint=distance, footprint_noise=noise)
-        for way in ("uniform", "recency")
-        for step, (distance, noise) in enumerate([(0.9, 0.02), (0.3, 0.05), (np.nan, np.nan)])
-    ]
-    assert "0.035 apart (median)" in footprint.verdict(outcomes)[0]
-    (panel,) = footprint_figure(outcomes).axes
-    points, (_, bar) = panel.collections[0].get_offsets(), panel.lines
-    assert sorted(np.asarray(points)[:, 0]) == [0.3, 0.9]
-    assert bar.get_xdata() == pytest.approx([0.6, 0.6])
-    (near,) = footprint_figure([dict(BASE, way="recency", footprint=0.01)]).axes
-    assert np.asarray(near.collections[0].get_offsets())[:, 0] == [0.03]
 
 
 def test_a_sign_test_counts_recordings_by_hand():
@@ -318,70 +253,6 @@ def test_two_ways_are_compared_for_every_model():
 
 
 @pytest.mark.slow
-def test_the_commands_write_their_reports(
-    run: RunReader, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    store = str(run.path.parent)
-    common = ("--moments", "2", "--rows", "300", "--jobs", "1", "--store", store, "--json")
-    for name, extra in (("footprint", ()), ("capacity", ("frozen", "--models", "linear", "8 x 2"))):
-        out = tmp_path / name
-        words = ["reproduce", name, *extra, "--ways", "newest", "--out", str(out), *common]
-        assert main(words) == 0
-        told = json.loads(capsys.readouterr().out)
-        assert told["verdict"]
-        assert {path.name for path in out.glob("*.*")} == {
-            "report.html", "report.json", "summary.csv", "moments.csv", "head-to-head.csv",
-            *(picture.name for picture in out.glob(f"{name}*.png")),
-            *(picture.name for picture in out.glob(f"{name}*.svg")),
-        }  # fmt: skip
-        assert (out / f"{name}.png").exists()
-        assert len(pd.read_csv(out / "moments.csv")) == 2 * 2
-        again = out / "again"
-        words = ["reproduce", name, "--from", str(out / "moments.csv"), "--out", str(again)]
-        assert main([*words, "--json"]) == 0
-        made_anew = json.loads(capsys.readouterr().out)
-        assert {**made_anew, "out": 0} == {**told, "out": 0}
-        assert (again / "moments.csv").read_text() == (out / "moments.csv").read_text()
-        first, second = (
-            json.loads((folder / "report.json").read_text())["origin"] for folder in (out, again)
-        )
-        assert second["measured: made"] == first["made"]
-        assert second["runs"] == first["runs"] == "frozen"
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--ways", "tom-stationery"], "did you mean 'tom-stationary'"),
-        (["--moments", "0"], "must be at least 1"),
-        (["--env", "walker2d"], "no run with a buffer and policies"),
-        (["nothing"], "no run 'nothing'"),
-        (["--from", "nowhere.csv"], "cannot read nowhere.csv"),
-        (["--from", __file__], "is no moments.csv of this study"),
-        (["--from", "nowhere.csv", "frozen"], "leave out: runs"),
-        (["--from", "nowhere.csv", "--ways", "ratio"], "leave out: ways"),
-    ],
-)
-def test_bad_input_is_one_line(
-    run: RunReader, words: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    out = tmp_path / "report"
-    store = [] if "--from" in words else ["--store", str(run.path.parent)]
-    asked = [*words, *store, "--out", str(out)]
-    assert code_of(["reproduce", "footprint", *asked]) == 2
-    assert says in capsys.readouterr().err
-    assert not out.exists()
-
-
-def test_a_run_that_ended_too_early_is_told_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    config = resolve("inverted-pendulum", "mle", "smoke", {"steps": 300})
-    train(config, Store(tmp_path), "short", rerun=False)
-    for words in ((), ("short",)):
-        asked = ["reproduce", "footprint", *words, "--env", "inverted-pendulum"]
-        assert main([*asked, "--store", str(tmp_path), "--out", str(tmp_path / "report")]) == 2
-        assert re.search(r"1,000 steps\s+after", capsys.readouterr().err)
-
-
 def test_a_recording_of_sac_stands_for_a_replay_buffer(tmp_path: Path):
     config = SacRecordingConfig(env="hopper").but(
         steps=1500,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tom.config import TomConfig
-from tom.studies.mdp import Array, FlowName, Mdp, OccupancyProblem, occupancy, solve
+from tom.studies.mdp import FlowName, solve
 from tom.studies.tabular import acceptance, exact_flows, summary
 from tom.studies.tabular_estimates import (
     DENSE,
@@ -115,55 +115,12 @@ def test_counts_of_state_actions_leave_less_error_than_counts_of_transitions(cas
     assert pairs.row["variant"] == f"{case.family}counts of (s, a)"
 
 
-def test_an_estimate_carries_the_points_behind_its_score():
-    found = estimated(SMALL, Variant("quick", changes=QUICK, support=True))
-    seen = np.isfinite(found.estimated)
-    assert found.replay @ found.exact == pytest.approx(1.0)
-    assert found.replay[seen] @ found.estimated[seen] == pytest.approx(1.0, abs=0.1)
-    assert found.exact.shape == found.estimated.shape == found.replay.shape
-    row = found.row
-    assert row["variant"] == "quick"
-    assert row["seed"] == 0
-    assert {"spearman", "l1", "flow_residual", "log_ratio", "raw_mean"} <= set(row)
-
-
 def test_only_the_variant_differs_between_rows_of_a_case():
     a, b = (estimated(SMALL, Variant(name, changes=QUICK)) for name in "ab")
     assert {**a.row, "variant": "b"} == b.row
     c = estimated(SMALL, Variant("b", changes=QUICK, support=True))
     assert (c.exact == a.exact).all()
     assert c.row != b.row
-
-
-def fitted_model(problem: OccupancyProblem, weights: Array, mdp: Mdp) -> Array:
-    """The transition function that weighted maximum likelihood fits (eqs. 9, 18), (S, A, S).
-
-    NaN if a state and action has no weight.
-    """
-    mass = np.zeros_like(mdp.transition)
-    mass[problem.index] = problem.replay * weights
-    with np.errstate(invalid="ignore"):
-        return mass / mass.sum(2, keepdims=True)
-
-
-def model_bias(case: Case) -> float:
-    """The distance of the model fitted with the *exact* weights from the true one.
-
-    Mean total variation over (s, a) of the policy's occupancy. Zero under KL and in deterministic
-    MDPs; under chi-square the weights of one (s, a) depend on s'.
-    """
-    mdp, target, behaviour = draw(case, np.random.default_rng(case.seed))
-    problem = problem_of(case, mdp, target, behaviour)
-    model = fitted_model(problem, solve(problem, case.divergence).weights, mdp)
-    distance = np.abs(model - mdp.transition).sum(2) / 2
-    seen = np.isfinite(distance)
-    return float(np.average(distance[seen], weights=occupancy(mdp, target)[seen]))
-
-
-def test_only_chi2_with_stochastic_dynamics_biases_the_model():
-    for case in cases(range(3)):
-        biased = case.divergence == "chi2" and case.successors > 1
-        assert (model_bias(case) > 0.01) is biased
 
 
 def test_summary_takes_median_and_worst_of_each_variant():
