@@ -34,7 +34,8 @@ def pendulum(limit: int = 30) -> gymnasium.Env:
 
 
 @pytest.mark.parametrize(
-    ("kind", "normalised", "envs"), [(SAC, False, 1), (SAC, True, 2), (TD3, True, 1)]
+    ("kind", "normalised", "envs"),
+    [pytest.param(SAC, False, 1, marks=pytest.mark.slow), (SAC, True, 2), (TD3, True, 1)],
 )
 def test_a_training_of_sb3_is_recorded_as_it_is(kind, normalised, envs, tmp_path: Path):
     env: Any = DummyVecEnv([pendulum] * envs)

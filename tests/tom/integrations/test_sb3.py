@@ -70,7 +70,10 @@ def test_a_full_buffer_begins_with_its_oldest_row(tmp_path: Path):
     same(read_dataset(tmp_path / "cut.npz").rows, steps[-70:])
 
 
-@pytest.mark.parametrize(("env", "size"), [("Pendulum-v1", 75), ("InvertedPendulum-v5", 1000)])
+@pytest.mark.parametrize(
+    ("env", "size"),
+    [("Pendulum-v1", 75), pytest.param("InvertedPendulum-v5", 1000, marks=pytest.mark.slow)],
+)
 def test_a_buffer_that_saves_memory_lacks_the_ends(env: str, size: int, tmp_path: Path):
     settings = {"optimize_memory_usage": True, "handle_timeout_termination": False}
     model, [steps] = learnt(env, 110, size=size, **settings)

