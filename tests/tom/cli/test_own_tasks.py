@@ -3,13 +3,11 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from commands import tom_process
 
 from tom.record.reader import RunReader
 
-ROOT = Path(__file__).parents[3]
 MODULE = """
 import gymnasium as gym
 from gymnasium.envs.classic_control import PendulumEnv
@@ -100,27 +98,9 @@ def test_a_task_and_a_rule_of_ones_own(home: Path):
     assert len(json.loads(said)["results"]) == 2
 
 
-@pytest.mark.slow
-def test_the_studies_take_a_task_and_a_rule_of_ones_own(home: Path):
-    assert tom(f"{TRAIN} {RULE} --steps 1300 --run-id own", home)[0] == 0
-    asked = "--moments 1 --ways uniform --store runs"
-    code, said = tom(f"reproduce footprint own {asked} --out study", home)
-    assert (code, "add --env own_tasks:Own-v0" in said) == (2, True), said
-    asked += " --env own_tasks:Own-v0"
-    code, said = tom(f"reproduce footprint {asked} --rows 100 --json --out study", home)
-    assert (code, "own at 1200" in said) == (0, True), said
-
-    trial = f"reproduce improvement own {asked} --updates 5 --episodes 1 --json --out trial"
-    code, said = tom(trial, home)
-    assert (code, "add --termination own_tasks:fallen" in said) == (2, True), said
-    assert not (home / "trial").exists()
-    code, said = tom(f"{trial} --termination own_tasks:numbers", home)
-    assert (code, "no run here was trained with it" in said) == (2, True), said
-    code, said = tom(f"{trial} {RULE}", home)
-    assert (code, "1 moments of 1 runs" in said) == (0, True), said
-
-
-@pytest.mark.parametrize("env", ["own_tasks:Own-v0", "gymnasium:Reacher-v5"])
+@pytest.mark.parametrize(
+    "env", ["own_tasks:Own-v0", pytest.param("gymnasium:Reacher-v5", marks=pytest.mark.slow)]
+)
 def test_a_buffer_of_another_task_is_brushed(home: Path, env: str):
     """Reacher's robot has joints that its observations do not hold: there are no ghosts."""
     small = "--learner mle --preset smoke --steps 300 --no-rerun --evaluation.every 150"
@@ -150,46 +130,3 @@ def test_a_task_that_fails_ends_its_training_and_is_named(home: Path):
     assert status["state"] == "failed"
     assert status["reason"].startswith("step ")
     assert "own_tasks:Falling-v0" in status["reason"]
-
-    rows = {name: np.zeros((9, 3)) for name in ("obs", "next_obs")}
-    rows |= {name: np.zeros(9) for name in ("reward", "terminated", "truncated")}
-    np.savez(home / "mine.npz", allow_pickle=False, action=np.zeros((9, 1)), **rows)
-    words = "--env own_tasks:Falling-v0 --learner mle --store runs"
-    code, said = tom(f"weigh mine.npz --policy random {words}", home)
-    assert code == 2
-    assert "'own_tasks:Falling-v0' fails" in said
-    assert not (home / "runs/weighings").exists()
-
-
-def test_a_run_goes_on_with_its_own_learner_task_and_preset_alone(home: Path):
-    assert tom(f"{TRAIN} --steps 210 --run-id begun --checkpoint-every 105", home)[0] == 0
-    status = (home / "runs/begun/status.json").read_bytes()
-    own = "--env own_tasks:Own-v0"
-    for given, named in (
-        (f"{own} --learner mle", "--learner mle: run 'begun' was made with tom"),
-        ("--env hopper", "--env hopper: run 'begun' was made with own_tasks:Own-v0"),
-        (f"{own} --preset paper", "--preset paper: run 'begun' was made with smoke"),
-    ):
-        code, said = tom(f"train --resume begun --steps 220 --store runs {given}", home)
-        assert (code, named in said) == (2, True), said
-    assert (home / "runs/begun/status.json").read_bytes() == status
-    words = f"train --resume begun --steps 220 --store runs --no-rerun {own}"
-    assert tom(f"{words} --learner tom --preset smoke", home)[0] == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        ("--env absent:Own-v0", "absent"),
-        ("--env own_tasks:Own-v0 --termination own_tasks:numbers", "bool"),
-        ("--env odd:Ends-v0", "odd.py, line 2"),
-        ("--env gymnasium:Pendulum-v1 --plugin odd.py", "SystemExit"),
-    ],
-)
-def test_bad_input_is_one_line_and_leaves_nothing(home: Path, words: str, named: str):
-    (home / "odd.py").write_text("import sys\nsys.exit(0)\n")
-    code, said = tom(f"train {words} --learner tom --preset smoke --store runs", home)
-    assert code == 2
-    assert named in said
-    assert len(said.splitlines()) == 1, said
-    assert not (home / "runs").exists() or not list((home / "runs").iterdir())

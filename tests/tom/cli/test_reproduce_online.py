@@ -23,11 +23,3 @@ def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFi
     }
     assert "hours of training" in (out / "report.html").read_text()
     assert main(words) == 0
-
-
-def test_a_store_without_such_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    out = tmp_path / "out"
-    words = ["reproduce", "online", "--store", str(tmp_path / "store"), "--out", str(out)]
-    assert main(words) == 2
-    assert "tom sweep" in capsys.readouterr().err
-    assert not out.exists()

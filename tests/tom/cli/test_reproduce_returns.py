@@ -6,13 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from common import measured
 
 from tom.cli import main
-from tom.events import Metrics, Tick
 from tom.record import Store
-from tom.record.recorder import Recorder
-from tom.record.writer import RunWriter
-from tom.training.presets import resolve
 
 TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun", "--steps", "250"]
 
@@ -25,14 +22,10 @@ def record(
     preset: str = "paper",
     env: str = "hopper",
     seed: int = 0,
-    **more: Any,
 ) -> None:
-    """A run with these returns, by step, and `more` metrics."""
-    config = resolve(env, learner, preset, {"seed": seed})
-    with Recorder(RunWriter.create(Store(store), run_id, config)) as recorder:
-        for step, value in returns.items():
-            recorder.consume(Metrics(step, {"eval/return": value, **more}))
-            recorder.consume(Tick(step, "evaluate"))
+    """A run with these returns, by step."""
+    steps = [(step, {"eval/return": value}) for step, value in returns.items()]
+    measured(Store(store), run_id, learner, seed, *steps, env=env, preset=preset)
 
 
 class Returns:
@@ -62,7 +55,7 @@ def study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Returns:
     return Returns(tmp_path, capsys)
 
 
-def test_a_report_of_what_the_store_has(study: Returns, capsys: pytest.CaptureFixture[str]):
+def test_a_report_of_what_the_store_has(study: Returns):
     assert main([*TRAIN, "--learner", "mle", "--store", str(study.store)]) == 0
     smoke = ("--preset", "smoke")
     found = study.found(*smoke)
@@ -77,11 +70,6 @@ def test_a_report_of_what_the_store_has(study: Returns, capsys: pytest.CaptureFi
     for at in ((), ("--at", "250"), ("--at", "inverted-pendulum=250")):
         assert study.code(*smoke, *at) == 0
     assert "ends at 250" in study.refused(*smoke, "--at", "251")
-    (study.out / "returns.csv").unlink()
-    (study.out / "returns.csv").mkdir()
-    capsys.readouterr()
-    assert study.code(*smoke) == 1
-    assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_who_is_left_out_is_named_where_the_table_is(study: Returns):
@@ -128,13 +116,6 @@ def test_a_comparison_that_was_fixed_beforehand_is_corrected_for_no_other(study:
     assert "MLE; PMAC; TOM; TOM, mended" in said
 
 
-def test_exams_are_compared(study: Returns):
-    exam = dict.fromkeys(("exam/footprint", "exam/error", "exam/rollout_error"), 1.0)
-    for kind in (("mle", "paper"), ("tom", "paper"), ("tom", "mended")):
-        record(study.store, "-".join(kind), {100: 1.0}, *kind, **exam)
-    assert len(study.found()["less"]) == 3 * 2  # no informative footprint, no rollouts
-
-
 def test_runs_of_other_groups_bound_no_planned_comparison(study: Returns):
     for learner, steps in (("pmac", (100, 500)), ("vagram", (1000, 2000)), ("ratio", (1000, 2000))):
         record(study.store, learner, {step: float(step) for step in steps}, learner)
@@ -153,22 +134,3 @@ def test_a_step_of_one_task_counts_whatever_the_order(at: tuple[str, ...], study
         record(study.store, env, {step: float(step) for step in (1000, 2000)}, env=env)
     steps = {row["env"]: row["at step"] for row in study.found("--at", *at)["summary"]}
     assert steps == {"hopper": 2000, "walker2d": 1000}
-
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        ((), "tom sweep"),
-        (("--env", "hoper"), "did you mean 'hopper'"),
-        (("--learner", "tomm"), "did you mean 'tom'"),
-        (("--preset", "papr"), "did you mean 'paper'"),
-        (("--at", "0"), "--at"),
-        (("--at", "late"), "'late'"),
-        (("--at", "hoper=9"), "did you mean 'hopper'"),
-        (("--at", "9", "8"), "--at"),
-        (("--env", "hopper", "--at", "ant=9"), "--at ant=9"),
-    ],
-)
-def test_bad_input(words: tuple[str, ...], named: str, study: Returns, tmp_path: Path):
-    assert named in study.refused(*words)
-    assert list(tmp_path.iterdir()) == []

@@ -73,7 +73,7 @@ script()
 
 def test_handlers_are_put_back_after_a_command(tmp_path: Path):
     before = [signal.getsignal(number) for number in STOPPING]
-    code_of(["sweep", *SMOKE, "--store", str(tmp_path / "store")])
+    assert code_of(["train", *SMOKE, "--no-rerun", "--store", str(tmp_path / "store")]) == 0
     assert [signal.getsignal(number) for number in STOPPING] == before
 
 

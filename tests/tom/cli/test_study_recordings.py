@@ -4,16 +4,14 @@ import signal
 from argparse import Namespace
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 from tom.cli.output import ProgressReport
-from tom.cli.reproduce import record, run
-from tom.config import SacRecordingConfig
+from tom.cli.reproduce import record
 from tom.events import Event, Tick
 from tom.record import RunReader, Store
-from tom.studies.study import Findings, recordings
+from tom.studies.study import recordings
 
 STEPS = 150
 
@@ -43,20 +41,3 @@ def test_a_recording_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytes
     assert len(made.buffer()[0]) == 2 * STEPS
     assert recorded(tmp_path)[0].run_id == made.run_id
     assert len(store.runs()) == 1
-
-
-def test_a_recording_whose_loss_is_not_finite_ends_the_study_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    def steep(args: Namespace) -> Findings:
-        settings = SacRecordingConfig(env="inverted-pendulum", steps=STEPS, exploration_steps=40)
-        settings = settings.but(sac={"hidden": 16, "batch_size": 32, "lr": 1e20})
-        args.record(Store(tmp_path), settings)
-        raise AssertionError
-
-    study = ModuleType("steep")
-    vars(study).update(TITLE="Steep", CLAIM="", find=steep)
-    assert run(study, Namespace(out=tmp_path / "out")) == 1
-    said = capsys.readouterr().err.strip().splitlines()
-    assert said[-1].startswith("failed: step ")
-    assert "--sac.lr" in said[-1]

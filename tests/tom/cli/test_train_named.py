@@ -55,11 +55,8 @@ def test_a_named_run_that_died_before_its_first_checkpoint_begins_anew(tmp_path:
     assert manage.trashed(Store(tmp_path)) == ["mine"]
 
 
-@pytest.mark.parametrize("saved", [False, True])
-def test_a_named_run_that_is_being_written_is_left_alone(saved: bool, tmp_path: Path, capsys):
+def test_a_named_run_that_is_being_written_is_left_alone(tmp_path: Path, capsys):
     begun(tmp_path)
-    if saved:
-        checkpoint.save(tmp_path / "mine" / checkpoint.FOLDER, 20, {})
     writer = lock.acquire(tmp_path / "mine")
     try:
         assert main(command(tmp_path)) == TRY_LATER

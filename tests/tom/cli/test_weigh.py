@@ -1,7 +1,6 @@
 """`tom weigh` and `tom reproduce progression` on small real runs and files."""
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
-from commands import code_of
+from commands import code_of, refused
 
 from tom.analysis import weighing
 from tom.analysis.ordered_data import after_random, load_data, of_run
@@ -26,7 +25,6 @@ from tom.learners.pmac import recency_probabilities
 from tom.policy.collect import Footprint, footprint
 from tom.policy.stored import UniformPolicy
 from tom.record import RunReader, Store
-from tom.reports.weighing_files import notices
 from tom.studies.progression import in_order
 from tom.training.presets import resolve
 
@@ -34,6 +32,7 @@ QUICK = [
     "--preset", "paper", "--tom.q-hidden", "16", "--tom.q-steps", "20",
     "--tom.discriminator-hidden", "16", "--tom.discriminator-steps", "20",
 ]  # fmt: skip
+FEW = ("--footprint", "100")
 STEPS = 300
 
 
@@ -57,7 +56,7 @@ def weigh(store: Path, *arguments: str) -> int:
 def test_every_file_of_a_weighing(store: Path, tmp_path: Path, capsys):
     out = tmp_path / "out"
     code = weigh(store, "sac", "--policy", "sac", "--seeds", "0", "5", "--bins", "50",
-                 "--out", str(out), "--json")  # fmt: skip
+                 "--out", str(out), "--json", *FEW)  # fmt: skip
     assert code == 0
     report = json.loads(capsys.readouterr().out)
     assert {p.name for p in out.iterdir()} == {
@@ -82,20 +81,6 @@ def test_every_file_of_a_weighing(store: Path, tmp_path: Path, capsys):
     assert report["medians"]["mle"]["random_mean"] == pytest.approx(1)
     assert report["medians"]["pmac"]["last_two"] > report["medians"]["pmac"]["random_mean"]
     assert set(report["made"]) == {"command", "git_commit", "versions", "hours"}
-
-
-def test_notices_are_told_once_for_all_seeds(store: Path, tmp_path: Path, capsys):
-    """KL under the discounted flow gives ends no weight, which TOM notices."""
-    kl = ["--tom.divergence", "kl", "--tom.flow", "discounted", "--learner", "tom", "mle"]
-    at = ["--seeds", "0", "1", "--footprint", "50", "--out", str(tmp_path / "out"), "--json"]
-    assert weigh(store, "sac", "--policy", "sac", *kl, *at) == 0
-    said = capsys.readouterr()
-    report = json.loads(said.out)
-    (told,) = notices(report)
-    assert "0-1" in told
-    (message,) = report["results"][0]["notices"]
-    assert told.endswith(message)
-    assert said.err.count(told) == 1
 
 
 def test_weights_are_judged_by_episodes_that_no_learner_has_seen(store: Path, monkeypatch):
@@ -135,7 +120,7 @@ def test_weights_are_judged_by_episodes_that_no_learner_has_seen(store: Path, mo
 def test_a_weighing_lies_in_the_store_and_goes_with_a_small_copy(
     store: Path, tmp_path: Path, capsys
 ):
-    assert weigh(store, "sac", "--policy", "sac", "--seeds", "0", "--json") == 0
+    assert weigh(store, "sac", "--policy", "sac", "--seeds", "0", "--json", *FEW) == 0
     made = Path(json.loads(capsys.readouterr().out)["out"])
     assert made.parent == store / "weighings"
     assert Store(store).problems == []
@@ -149,12 +134,15 @@ def test_a_weighing_lies_in_the_store_and_goes_with_a_small_copy(
     assert main(["runs", "index", "--store", str(tmp_path)]) == 0
     page = (tmp_path / "README.md").read_text()
     assert f"| `{made.name}` | `sac` | `sac` | TOM, PMAC, MLE | 0 | {2 * STEPS} |" in page
-    assert weigh(tmp_path, "sac", "--policy", "sac", "--seeds", "0", "--learner", "mle") == 0
+    assert weigh(tmp_path, "sac", "--policy", "sac", "--learner", "mle", "--seeds", "0", *FEW) == 0
 
 
 @pytest.mark.parametrize(
     ("learner", "capacity"),
-    [("pmac", 210), ("vagram", 1000), ("policy-distance", 210), ("pdml", 1000)],
+    [
+        ("policy-distance", 210),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in (("vagram", 1000), ("pdml", 1000))),
+    ],
 )
 def test_at_a_step_the_weights_are_those_that_the_run_had(tmp_path: Path, learner, capacity):
     words = ["--env", "inverted-pendulum", "--learner", learner, "--preset", "smoke"]
@@ -188,7 +176,7 @@ def test_at_a_step_a_runs_own_settings_hold(tmp_path: Path, capsys):
     chosen = ["own", "--policy", "own", "--learner", "pmac", "--seeds", "0", "--footprint", "10"]
     weigh_it = ["weigh", *chosen, "--step", str(step), "--store", str(tmp_path), "--json"]
     capsys.readouterr()
-    for more, decay in ([], 0.9), (["--pmac.decay", "0.8"], 0.8), (["--preset", "paper"], 0.996):
+    for more, decay in ([], 0.9), (["--pmac.decay", "0.8"], 0.8):
         assert main([*weigh_it, *more, "--out", str(tmp_path / f"out-{decay}")]) == 0
         assert json.loads(capsys.readouterr().out)["config"]["pmac"]["decay"] == decay
     found = pq.read_table(tmp_path / "out-0.9" / "weights.parquet")["pmac-s0"].to_numpy()
@@ -215,9 +203,10 @@ def test_a_d4rl_file_in_the_tasks_own_units(store: Path, tmp_path: Path):
     assert random_first.ordered_from == len(data)
     assert random_first.policy_version[len(data)] == 1
     out = tmp_path / "out"
-    assert weigh(store, str(path), "--policy", "sac", "--seeds", "0", "--out", str(out)) == 0
+    assert weigh(store, str(path), "--policy", "sac", *FEW, "--seeds", "0", "--out", str(out)) == 0
     assert json.loads((out / "report.json").read_text())["results"][0]["random_mean"] is None
-    both = ("--random", str(path), "--env", "inverted-pendulum", "--out", str(tmp_path / "both"))
+    both = ("--random", str(path), *FEW, "--env", "inverted-pendulum")
+    both += ("--out", str(tmp_path / "both"))
     assert weigh(store, str(path), "--policy", "random", "--seeds", "0", *both) == 0
     report = json.loads((tmp_path / "both" / "report.json").read_text())
     assert report["rows"] == 2 * report["ordered_from"] == 4 * STEPS
@@ -238,7 +227,6 @@ def test_shuffled_rows_come_back_in_order(store: Path):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (["nothing", "--policy", "random", "--env", "hopper"], "no data 'nothing'"),
         (["sac", "--policy", "nothing"], "no policy at nothing"),
         (["sac", "--policy", "random", "--learner", "vagram"], "without one: leave vagram out"),
         (
@@ -246,36 +234,23 @@ def test_shuffled_rows_come_back_in_order(store: Path):
             "kept no policy of step 7: --step takes one of 200",
         ),
         (["trained", "--policy", "random", "--step", "251"], "--step 251 is none of them"),
-        (["sac", "--policy", "random", "--step", "200"], "has no fits of a model"),
-        (["sac", "--policy", "random", "--learner", "tmo"], "did you mean 'tom'?"),
         (["sac", "--policy", "random", "--env", "hopper"], "is of inverted-pendulum, not of"),
-        (["sac", "--policy", "random", "--seeds", "-1"], "--seeds"),
         (["sac", "--policy", "random", "--bins", "1000000000"], "--bins"),
-        (["sac", "--policy", "random", "--tom.discount", "1"], "--tom.discount 1"),
-        (["sac"], "--policy"),
     ],
 )
 def test_bad_input_is_one_line_and_nothing_is_made(store, tmp_path, arguments, named, capsys):
-    out = tmp_path / "out"
-    assert weigh(store, *arguments, "--out", str(out)) == 2
-    message = capsys.readouterr().err
-    assert named in message
-    assert message.count("\n") == 1
+    words = ["weigh", *arguments, "--store", str(store), *QUICK, "--out", str(tmp_path / "out")]
+    refused(words, capsys, named)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_policy_and_random_data_of_another_task_of_the_same_size(
-    store: Path, tmp_path: Path, capsys
-):
+def test_a_policy_of_another_task_of_the_same_size_is_refused(store: Path, tmp_path: Path, capsys):
     with np.load(store / "trained" / "policy.npz") as file:
         arrays = {**file, "env": np.array("hopper")}
     np.savez(tmp_path / "policy.npz", **arrays)
     words = ("--policy", str(tmp_path / "policy.npz"), "--env", "inverted-pendulum")
     assert weigh(store, "trained", *words, "--out", str(tmp_path / "out")) == 2
     assert "is of hopper, not of inverted-pendulum" in capsys.readouterr().err
-    data = of_run(RunReader(store / "trained"))
-    with pytest.raises(UserError, match="trained is of hopper, trained of inverted-pendulum"):
-        after_random(replace(data, env="hopper"), data)
 
 
 @pytest.mark.parametrize(("preset", "decay"), [("mended", 0.996), ("released", 0.9)])
@@ -298,20 +273,3 @@ def test_rows_of_a_policy_are_not_called_random(store: Path):
     with pytest.raises(UserError, match=f"of the first {first + 1} rows of trained only {first}"):
         after_random(data, later)
     assert after_random(replace(data, stored=False), later).ordered_from == first + 1
-
-
-@pytest.mark.parametrize(
-    ("run_id", "without", "advice"),
-    [
-        ("trained", ["policy.npz"], "--step takes one of "),
-        ("trained", ["policy.npz", "policies"], "name another run"),
-        ("sac", ["policy.npz"], "name another run"),  # a recording has no fits to name
-    ],
-)
-def test_a_run_without_its_last_policy(store, tmp_path, run_id, without, advice, capsys):
-    shutil.copytree(store / run_id, tmp_path / run_id)
-    for name in without:
-        path = tmp_path / run_id / name
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
-    assert weigh(tmp_path, run_id, "--policy", run_id) == 2
-    assert f"{run_id} kept no policy of its end: {advice}" in capsys.readouterr().err
