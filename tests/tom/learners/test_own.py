@@ -10,7 +10,7 @@ from common import generator, reloaded
 from made import OBS, context, rows
 
 from tom.data.sampling import normalise
-from tom.errors import OwnCodeError
+from tom.errors import DivergedError, OwnCodeError
 from tom.learners.base import Weighting
 from tom.learners.own import OwnLearner
 from tom.learners.terms import Terms
@@ -122,6 +122,12 @@ def test_notices_and_terms_of_the_right_form_are_recorded_as_ours():
     found = own(given).weigh(context(rows(N)))
     assert found.notices == (("kind", "words"),)
     assert found.event(1).terms.keys() == terms.recorded().keys()
+
+
+def test_errors_that_explain_themselves_stay():
+    for error in (DivergedError("step 3: a loss"), MemoryError(), KeyboardInterrupt()):
+        with pytest.raises(type(error)):
+            own(error).weigh(context(rows(N)))
 
 
 def test_a_state_that_no_checkpoint_can_hold_is_refused_before_or_at_its_fit():

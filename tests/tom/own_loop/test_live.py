@@ -94,6 +94,7 @@ def test_a_weighing_that_fails_is_told_at_the_end(tmp_path: Path):
     assert str(loaded(tmp_path).live["mle"].summary["state"]) == "failed"
 
 
+@pytest.mark.slow
 def test_a_run_that_goes_on_is_weighed_from_there(tmp_path: Path):
     for _ in range(2):
         resume = {"resume": "auto", "step": 300} if (tmp_path / "mine").exists() else {}

@@ -37,14 +37,15 @@ def saved(path: Path, network: torch.nn.Module) -> str:
     return str(path)
 
 
-def exported(path: Path, outputs: int, width: int = ACTIONS) -> str:
-    """An ONNX file whose every output is the observations' first `width` dimensions."""
-    given = helper.make_tensor_value_info("obs", TensorProto.FLOAT, ["n", OBS])
+def exported(path: Path, outputs: int, rows: str | int = "n") -> str:
+    """An ONNX file whose every output is the observations' first dimensions."""
+    width = ACTIONS
+    given = helper.make_tensor_value_info("obs", TensorProto.FLOAT, [rows, OBS])
     names = [f"out{i}" for i in range(outputs)]
     limits = [("start", [0]), ("end", [width]), ("axis", [1])]
     constants = [helper.make_tensor(n, TensorProto.INT64, [1], v) for n, v in limits]
     slices = [helper.make_node("Slice", ["obs", "start", "end", "axis"], [n]) for n in names]
-    made = [helper.make_tensor_value_info(n, TensorProto.FLOAT, ["n", width]) for n in names]
+    made = [helper.make_tensor_value_info(n, TensorProto.FLOAT, [rows, width]) for n in names]
     graph = helper.make_graph(slices, "policy", [given], made, constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
     onnx.save(model, str(path))
@@ -79,6 +80,22 @@ def test_actions_are_in_the_tasks_own_units(tmp_path: Path):
     assert torch.equal(action[0], action[1])
 
 
+def test_onnx_of_a_fixed_batch_is_asked_in_parts(tmp_path: Path):
+    policy = load(exported(tmp_path / "policy.onnx", outputs=1, rows=4))
+    obs = torch.linspace(0, 2, 7)[:, None] * torch.tensor([1.0, 0.5, 0.0])
+    action = policy(obs, 1, generator())[0]
+    torch.testing.assert_close(action, torch.stack((obs[:, 0] / 2, obs[:, 1] / 2 - 1), 1))
+
+
+def test_a_network_is_asked_in_its_own_precision(tmp_path: Path):
+    obs, network = torch.eye(OBS), torch.nn.Linear(OBS, ACTIONS)
+    asked = [
+        load(saved(tmp_path / "policy.pt", network.to(kind)))(obs, 1, generator())
+        for kind in (torch.float32, torch.float64)
+    ]
+    torch.testing.assert_close(*asked)
+
+
 def test_it_is_asked_in_the_tasks_own_units(tmp_path: Path):
     name = exported(tmp_path / "policy.onnx", outputs=1)
     policy = foreign_policy(name, OBS, BOUNDS, lambda obs: 10 * obs + 1)
@@ -106,6 +123,7 @@ import numpy as np
 def act(obs):
     assert isinstance(obs, np.ndarray) and obs.dtype == np.float32
     return np.clip(obs[:, :2], [-2, 0], [2, 4])
+def with_state(obs): return act(obs), None
 def wide(obs): return obs
 def bad(obs): return obs[:, :2] * np.nan
 def fails(obs): raise KeyError("nothing here")
@@ -115,12 +133,13 @@ def fails(obs): raise KeyError("nothing here")
 def test_a_function_of_numpy_arrays(tmp_path: Path, monkeypatch):
     (tmp_path / "my_policy.py").write_text(FUNCTIONS)
     monkeypatch.chdir(tmp_path)
-    action = load("my_policy:act")(torch.tensor([[1.0, 1.0, 0.0]]), 1, generator())
-    assert action.flatten().tolist() == [0.5, -0.5]
+    for function in ("act", "with_state"):  # as stable-baselines3 answers
+        action = load(f"my_policy:{function}")(torch.tensor([[1.0, 1.0, 0.0]]), 1, generator())
+        assert action.flatten().tolist() == [0.5, -0.5]
     for function, message in {
         "wide": r"maps observations \(2, 3\) to \(2, 3\): it must return actions \(2, 2\), or",
         "bad": "no finite number",
-        "fails": "my_policy:fails fails on obs.* .2, 3., .*nothing here.*my_policy.py, line 8",
+        "fails": "my_policy:fails fails on obs.* .2, 3., .*nothing here.*my_policy.py, line 9",
         "none": "module 'my_policy' has no function 'none'",
     }.items():
         with one_line(message):

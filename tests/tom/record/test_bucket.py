@@ -47,6 +47,16 @@ def test_what_is_put_is_what_is_fetched(bucket: Bucket, record, tmp_path: Path):
     assert all((tmp_path / "there" / name).is_dir() for name in layout.FOLDERS)
 
 
+def test_only_what_changed_is_put_again(bucket: Bucket, record):
+    run = record("run", events()[:600])
+    attempt = Attempt.claim(bucket, "run")
+    attempt.put(run.path)
+    kept = f"run/{attempt.name}/config.json"
+    bucket.write(kept, b"as it was put first")
+    attempt.put(run.path)
+    assert bucket.read(kept) == b"as it was put first"
+
+
 class Breaking(Bucket):
     """A store that fails after so many objects."""
 

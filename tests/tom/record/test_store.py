@@ -45,6 +45,14 @@ def test_ids_that_could_leave_the_store_are_refused(store: Store, run_id: str):
     assert not store.path.exists()
 
 
+def test_a_link_out_of_the_store_is_not_followed(store: Store, tmp_path: Path):
+    RunWriter.create(Store(tmp_path / "other"), "run", Config).close()
+    store.path.mkdir()
+    (store.path / "run").symlink_to(tmp_path / "other" / "run")
+    with pytest.raises(UserError, match="is a link"):
+        store.run("run")
+
+
 def test_a_store_that_is_a_file(tmp_path: Path):
     (tmp_path / "file").touch()
     store = Store(tmp_path / "file")

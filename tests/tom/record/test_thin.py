@@ -115,6 +115,10 @@ def test_all_that_a_copy_lacks_is_named_also_in_a_copy_of_it(record, tmp_path: P
     assert set(small.left_out) == lacking
     again = RunReader(export_small(small, tmp_path / "again"))
     assert again.left_out == small.left_out
+    few = RunReader(export_small(run, tmp_path / "few", without=["snapshots", "evaluations"]))
+    assert (few.snapshot_steps(), few.evaluation_steps()) == ([], [])
+    assert {"snapshots", "evaluations"} <= {*few.left_out}
+    assert verify(few) == []
 
 
 def test_a_copy_without_small_parts_says_so_and_reads_well(record, tmp_path: Path):

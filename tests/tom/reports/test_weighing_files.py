@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tom.reports.weighing_files import REPORT, WEIGHTS, copy_small, of_run
+from tom.reports.weighing_files import REPORT, WEIGHTS, copy_small, notices, of_run
 
 WHOLE = {"data": "one", "policy": "one", "rows": 3, "results": []}
 
@@ -34,3 +34,9 @@ def test_a_second_figure_is_not_copied(tmp_path: Path):
         (whole / figure).touch()
     (copy,) = copy_small(tmp_path / "store", "one", tmp_path / "out")
     assert sorted(path.name for path in copy.iterdir()) == ["profile.png", REPORT, WEIGHTS]
+
+
+def test_what_holds_for_several_seeds_is_told_once():
+    told = [{"learner": "tom", "seed": seed, "notices": ["odd"]} for seed in (0, 1)]
+    (line,) = notices({"results": told})
+    assert "0-1" in line

@@ -51,6 +51,16 @@ def test_the_live_table_has_every_run(driver: Driver):
     assert "1 failed, 2 waiting, 1 finished" in text
 
 
+def test_where_the_terminal_is_small_what_matters_is_shown_and_the_rest_counted(
+    driver: Driver, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("LINES", "11")
+    text = shown(driver, Terminal())
+    assert driver.jobs[2].run_id in text  # the failed one
+    assert driver.jobs[0].run_id not in text  # the finished one
+    assert "1 more not shown" in text
+
+
 def test_in_a_log_a_line_is_a_change(driver: Driver):
     stream = io.StringIO()
     with SweepDisplay(driver, stream) as display:

@@ -8,7 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from recorded import Config, events, logged
+from rerun.chunk import RrdReader
 
+from tom.events import Metrics
 from tom.record import RunReader, Store
 from tom.record.recorder import Recorder
 from tom.record.rerun.feed import Follower, Tail, stream
@@ -59,6 +61,19 @@ def test_a_stream_grows_with_the_run_and_ends_with_it(store: Store, tmp_path: Pa
 def test_of_a_run_that_has_nothing_yet_the_layout_is_streamed(record):
     pieces = list(Follower(record(given=[])).pieces())
     assert [piece[:4] for piece in pieces] == [b"RRF2"]
+
+
+def test_a_viewer_that_comes_late_gets_many_rows_in_one_chunk(store: Store, tmp_path: Path):
+    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
+        for step in range(1, 201):
+            recorder.consume(Metrics(step, {"model/train_nll": 1.0 / step}))
+    (tmp_path / "run.rrd").write_bytes(b"".join(stream(store.run("run"))))
+    chunks = [
+        chunk.to_record_batch()
+        for chunk in RrdReader(tmp_path / "run.rrd").stream()
+        if chunk.entity_path == "/model/train_nll"
+    ]
+    assert [chunk.num_rows for chunk in chunks] == [200]
 
 
 def _steps(part: bytes, folder: Path, of: str = "weights/profile") -> list[int]:

@@ -20,6 +20,7 @@ from tom.record import RunReader, Store
 from tom.record.export import export
 from tom.record.recorder import Recorder
 from tom.record.rerun import sink
+from tom.record.rerun.drawing import heat
 from tom.record.rerun.feed import Follower
 from tom.record.rerun.sink import RerunSink
 from tom.record.rerun.view import episode_recording
@@ -191,6 +192,13 @@ def test_a_road_episode_is_a_car_on_its_map(store: Store, tmp_path: Path):
     for name, moved in (("car", 0.0), ("ghost", 0.1)):
         drawn = np.array(logged(path, f"map/{name}")["Points2D:positions"].tolist())[:, 0]
         np.testing.assert_allclose(drawn, (places + moved) * [1, -1], atol=1e-6)
+
+
+def test_weights_are_blue_below_the_mean_and_red_above():
+    red, green, blue, _ = heat(np.array([0.0, 1.0, 100.0])).T.astype(int)
+    assert blue[0] > red[0]
+    assert red[1] == green[1] == blue[1]
+    assert red[2] > blue[2]
 
 
 def test_a_recording_that_cannot_be_written_costs_training_nothing(store: Store):
