@@ -112,16 +112,6 @@ def test_the_model_buffer_keeps_an_epoch_of_fits():
     assert len(training.model_buffer) == 4 * 20  # four fits, and none was thrown away
 
 
-def test_the_model_buffer_grows_with_the_rollouts():
-    rollout = {"starts": 20, "final_length": 3, "schedule_start": 0, "schedule_end": 1}
-    config = smoke("mle", steps=750, exploration_steps=50, fit_every=100, rollout=rollout)
-    training, sizes = Mbpo(config), {}
-    for event in training.events():
-        sizes[event.env_step] = training.model_buffer.capacity
-    assert sizes[450] == 200  # a length of 1.9 is one
-    assert sizes[551] == 400
-
-
 def packed(buffer: ReplayBuffer) -> set[bytes]:
     rows = buffer.packed(torch.arange(len(buffer))).numpy()
     return {row.tobytes() for row in rows}
@@ -209,6 +199,7 @@ def test_evaluation_leaves_the_training_alone():
         assert torch.equal(a, b)
 
 
+@pytest.mark.slow
 def test_it_begins_to_balance():
     """Soon it is several times better than random actions."""
     changes = {"steps": 550, "updates_per_step": 6}

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from tom.analysis.imagine import imagine, joint_positions, step_errors, stored_model
-from tom.analysis.ordered_data import of_run
 from tom.data.transitions import Transitions
 from tom.envs import task
 from tom.errors import UserError
@@ -146,16 +145,3 @@ def test_a_small_copy_keeps_the_model_and_cannot_go_on(hopper: RunReader, tmp_pa
     with pytest.raises(UserError, match="small copy, which cannot go on"):
         resume(store, "hopper", steps=400)
     assert sorted(small.path.iterdir()) == before
-
-
-def test_a_small_copy_without_its_model_says_so(
-    hopper: RunReader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr("tom.record.thin.SMALL", 100)
-    small = RunReader(export_small(hopper, tmp_path))
-    assert model_step(small.path) is None
-    assert "model" in small.left_out
-    with pytest.raises(UserError, match="left out of this small copy"):
-        stored_model(small)
-    with pytest.raises(UserError, match="cannot be used: left out of this small copy"):
-        of_run(small)

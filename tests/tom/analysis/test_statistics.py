@@ -79,14 +79,6 @@ def test_few_seeds_hold_the_truth_as_seldom_as_the_remark_says(n: int):
     assert f"{st.COVERAGE[n]} of 100" in st.remark(n)
 
 
-def test_remarks():
-    assert st.remark(0) == "no runs"
-    assert st.remark(1).startswith("1 seed: no interval")
-    assert st.remark([8, 3]) == st.remark(3)
-    assert st.remark(10) == ""
-    assert all(st.remark(n) for n in range(10))
-
-
 def test_performance_profile_by_hand():
     found = st.performance_profile(SCORES.T, [0.0, 0.25, 2.0, 10.0])
     # Above .25: all of task one, half of task two; above 2: half and none.

@@ -1,6 +1,5 @@
 """The head that learns what ends an episode: it finds the rule and says how sure it is."""
 
-import numpy as np
 import pytest
 import torch
 from common import generator, online
@@ -88,43 +87,6 @@ def test_an_end_that_is_held_out_teaches_nothing():
     assert not head(rows(500, seed=9).next_obs).any()
 
 
-@pytest.mark.parametrize("weights", ["sample", "scale"])
-@pytest.mark.parametrize("rest", [0.0, 1.0])
-def test_weight_on_a_held_out_end_alone_teaches_nothing(weights: str, rest: float):
-    """Whether or not the rows that are trained on have any other weight."""
-    data, config = rows(3000), CONFIG.but(weights=weights)
-    held, _ = the_held_out_and_the_others(3000)
-    given = rest * (1 - data.terminated)
-    given[held[data.terminated[held] > 0][0]] = 1
-    head, metrics, notices = fitted(given, config)
-    assert [kind for kind, _ in notices] == ["ends-unweighted"]
-    _, same, _ = fitted(config=config)
-    assert metrics == same
-    assert head(rows(2000, seed=9).next_obs).float().mean() < 0.25
-
-
-def test_one_end_unlike_those_it_learnt_from_does_not_end_everything():
-    data = rows(3000, ends=False)
-    held, kept = the_held_out_and_the_others(3000)
-    data.next_obs[kept[:4]] = torch.tensor([4.0, 0.0, 0.0])
-    data.terminated[kept[:4]] = 1
-    data.terminated[held[100]] = 1
-    head = EndingHead(3, CONFIG, generator(1))
-    head.fit(data, torch.ones(3000), 3000, generator(2))
-    assert head(rows(2000, seed=9).next_obs).float().mean() < 0.01
-    assert head(torch.tensor([[4.0, 0.0, 0.0]])).all()
-
-
-def test_its_state_is_all_of_it():
-    head, _, _ = fitted()
-    other = EndingHead(3, CONFIG, generator(7))
-    other.load_state_dict(head.state_dict())
-    data, weights = rows(800, seed=3), torch.ones(800)
-    both = [one.fit(data, weights, 800, generator(4)) for one in (head, other)]
-    assert both[0] == both[1]
-    assert torch.equal(head.probability(data.obs), other.probability(data.obs))
-
-
 def test_what_it_is_measured_on_was_never_trained_on():
     """Ends are chance in a fifth of the rows, so no honest loss is far below .50.
 
@@ -140,12 +102,6 @@ def test_what_it_is_measured_on_was_never_trained_on():
         metrics, _ = head.fit(held, weights, first + 500, g)
         losses.append(metrics["model/ends_loss"])
     assert min(losses) > 0.4
-
-
-def test_what_held_out_no_end_is_not_measured():
-    head, metrics, _ = fitted(config=CONFIG.but(holdout=0))
-    assert metrics == {"model/ends_threshold": head.threshold}
-    assert 0 < head.threshold < 1
 
 
 def test_the_threshold_has_the_best_weighted_f1():
@@ -178,12 +134,7 @@ def test_what_is_measured():
     assert found["model/ends_calibration"] == pytest.approx((4 * 0.2 + 4 * 0.05) / 8)
 
 
-def test_what_is_no_number_is_measured_as_none():
-    p, label = torch.tensor([torch.nan, 0.05]), torch.tensor([1.0, 0.0])
-    found = measured(p, label, torch.ones(2), 0.5)
-    assert np.isnan([found["model/ends_loss"], found["model/ends_calibration"]]).all()
-
-
+@pytest.mark.slow
 def test_the_exam_judges_it_like_a_rule():
     """Hopper's ends, learnt by the head: most of the falls are foretold, few are invented."""
     changes = {"model": {"termination": "learnt", "rounds": 20}, "steps": 1000}

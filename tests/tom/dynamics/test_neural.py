@@ -98,15 +98,6 @@ def test_a_component_is_the_one_that_counting_its_shares_gives():
     assert wanted.min() == 0
 
 
-def test_mdn_draws_have_the_mixtures_moments():
-    model = Mdn(2, 1, SMALL, generator())
-    output = torch.randn(1, 1, 27, generator=generator(1)).expand(1, 40_000, 27)
-    mixture = mixture_of(model, output[:, :1])
-    drawn = model.draw(output, generator(2))[0]
-    torch.testing.assert_close(drawn.mean(0), mixture.mean[0, 0], rtol=0, atol=0.04)
-    torch.testing.assert_close(drawn.var(0), mixture.variance[0, 0], rtol=0.06, atol=0.02)
-
-
 def test_mdn_recovers_a_two_mode_mixture():
     """next = obs +- 1 with probability 0.3 / 0.7: modes, shares and spread come back."""
     g = generator(3)
@@ -165,9 +156,8 @@ def test_holdout_rows_keep_their_own_weights():
     assert float(holdout_loss(model, x, y, own, None)) == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.parametrize("use", ["sample", "scale"])
-def test_a_fit_whose_weight_is_all_held_out_is_uniform_and_says_so(use: str):
-    data, config = rows(400), SMALL.but(weights=use, rounds=2, batches_per_round=20)
+def test_a_fit_whose_weight_is_all_held_out_is_uniform_and_says_so():
+    data, config = rows(400), SMALL.but(rounds=2, batches_per_round=20)
     train, held = split(400, config, generator(5))
     found = []
     for only in (train[0], held[0], slice(None)):

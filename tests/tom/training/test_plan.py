@@ -80,18 +80,13 @@ def test_the_words_of_a_trial_make_the_same_training(tmp_path: Path):
     ("text", "named"),
     [
         ("env: hoper\nlearner: tom", "did you mean 'hopper'"),
-        ("env: hopper\nlearner: tomm", "did you mean 'tom'"),
-        ("env: hopper\nlearner: tom\npreset: papr", "did you mean 'paper'"),
         ("env: hopper", "learner"),
         ("env: hopper\nlearner: tom\nseeds: []", "seeds"),
-        ("env: hopper\nlearner: tom\nseeds: [-1]", "seeds"),
         ("env: hopper\nlearner: tom\nlearning_rate: 1", "learning_rate"),
         ("env: hopper\nlearner: tom\nsettings: {sac: {lr: -1}}", "sac.lr"),
         ("env: hopper\nlearner: tom\nsettings: {seed: 3}", "seed"),
-        ("env: hopper\nlearner: tom\nsettings: [1]", "settings"),
         ("env: hopper\nenv: ant\nlearner: tom", "line 2"),
         ("env: !!python/object/apply:os.system ['true']\nlearner: tom", "plan.yaml"),
-        ("- hopper", "mapping"),
     ],
 )
 def test_bad_plans_are_one_line(text: str, named: str, tmp_path: Path):

@@ -111,29 +111,16 @@ def test_a_stored_policy_is_the_policy_to_the_last_bit(tmp_path: Path):
     of_old = {name: array for name, array in arrays.items() if not name.startswith("critic")}
     np.savez(tmp_path / "old.npz", allow_pickle=False, **of_old)
     assert read_policy(tmp_path / "old.npz").value_gradient is None
-
-
-def test_a_policy_in_half_precision_is_read_as_well(tmp_path: Path):
-    """As small copies of runs keep it."""
-    recording = SacRecording(config("inverted-pendulum", steps=80, exploration_steps=40))
-    list(recording.events())
-    arrays = policy_arrays("inverted-pendulum", recording.sac)
-    np.savez(
-        tmp_path / "policy.npz",
-        allow_pickle=False,
-        **{name: half(array) for name, array in arrays.items()},
-    )
-    stored = read_policy(tmp_path / "policy.npz")
-    obs = torch.randn(50, 4, generator=torch.Generator().manual_seed(3))
-    assert stored.mean(obs).dtype == torch.float32
-    torch.testing.assert_close(stored.mean(obs), recording.policy.mean(obs), rtol=2e-3, atol=2e-3)
+    halves = {name: half(array) for name, array in arrays.items()}  # as small copies keep them
+    np.savez(tmp_path / "half.npz", allow_pickle=False, **halves)
+    mean = read_policy(tmp_path / "half.npz").mean(obs)
+    assert mean.dtype == torch.float32
+    torch.testing.assert_close(mean, recording.policy.mean(obs), rtol=2e-3, atol=2e-3)
 
 
 @pytest.mark.parametrize(
     "arrays",
     [
-        {"env": np.array("hopper")},
-        {"weight_0": np.zeros((3, 2), np.float32), "bias_0": np.zeros(2, np.float32)},
         {"env": np.array({"evil": 1}, object)},
         {
             "env": np.array("hopper"),
