@@ -15,6 +15,7 @@ from studio_runs import PENDULUM_TOM, info, undescribed
 
 from app.data import buffer, replays
 from app.scenes import solids
+from app.servers import viewers
 from tom.record import Store, layout
 from tom.record.reader import RunReader
 from tom.record.task_record import scene_of, task_of
@@ -63,7 +64,7 @@ def test_a_robot_is_drawn_from_the_run_folder_alone(shown: Path, run_id: str):
     app = draw("replays", run=run_id)
     assert not any("observations of the episode" in str(part) for part in app.main)
     assert "absent_module" not in sys.modules
-    recorded = replays.recording(run, 320, 0, 10)
+    recorded = viewers.episode(str(shown), run_id, 320, 0, 10)
     assert recorded is not None
     assert len(recorded) > 1000
     assert (shown / run_id / "run.rrd").stat().st_size > 1000
@@ -96,7 +97,7 @@ def test_without_a_robot_there_are_curves_and_no_empty_scene(shown: Path, run_id
     assert not app.get("iframe")
     curves = next(f for f in figures(app) if len(f["data"]) == 6)  # three dimensions, twice
     assert array(curves["data"][0]["y"]) == pytest.approx(replay.episode.obs[:, 0])
-    assert replays.recording(run, 320, 0, 10) is not None
+    assert viewers.episode(str(shown), run_id, 320, 0, 10) is not None
     regions = in_buffer(run=run_id)
     assert not regions.get("iframe")
     moments = figures(regions)[-1]["data"]  # three dimensions of the heaviest and the lightest
