@@ -164,7 +164,16 @@ def draw() -> Scope:
             label_visibility="collapsed", icon=":material/search:",
         )  # fmt: skip
         with st.popover("Filter and group", icon=":material/filter_alt:", width="stretch"):
-            runs, by = _filtered(of_task)
+            by = address.choose_one(st.selectbox, "Group by", choices(of_task), "group", USUAL)
+            runs = of_task
+            for field, (label, attribute, shown) in FILTERS.items():
+                value = attrgetter(attribute)
+                options = sorted({value(run) for run in of_task})
+                picked = address.choose_many(label, options, field, shown, placeholder="all")
+                runs = [run for run in runs if not picked or value(run) in picked]
+            every = sorted({tag for run in of_task for tag in run.labels.tags})
+            tags = set(address.choose_many("Tag", every, "tag", placeholder="any"))
+            runs = [run for run in runs if not tags or tags & set(run.labels.tags)]
         runs = matching(runs, words)
         scope = _scope(runs, by)
         if not runs:
@@ -198,20 +207,6 @@ def _of_task(everything: Sequence[RunReader], asked: str) -> list[RunReader]:
     )  # fmt: skip
     st.session_state["task shown"] = "" if env == EVERY_TASK else task(env)  # a window's title
     return [run for run in everything if env in (EVERY_TASK, run.env)]
-
-
-def _filtered(runs: Sequence[RunReader]) -> tuple[list[RunReader], str]:
-    """The runs that pass the filters, and by what they are grouped."""
-    by = address.choose_one(st.selectbox, "Group by", choices(runs), "group", USUAL)
-    kept = list(runs)
-    for field, (label, attribute, shown) in FILTERS.items():
-        value = attrgetter(attribute)
-        options = sorted({value(run) for run in runs})
-        picked = address.choose_many(label, options, field, shown, placeholder="all")
-        kept = [run for run in kept if not picked or value(run) in picked]
-    every = sorted({tag for run in runs for tag in run.labels.tags})
-    tags = set(address.choose_many("Tag", every, "tag", placeholder="any"))
-    return [run for run in kept if not tags or tags & set(run.labels.tags)], by
 
 
 def matching(runs: Sequence[RunReader], words: str) -> list[RunReader]:
