@@ -139,13 +139,15 @@ def serving(asked: Links, stopping: Event) -> Iterator[tuple[Links, Server | Non
     Raises UserError if it cannot listen where it should.
     """
     with tempfile.TemporaryDirectory(prefix="tom-studio-") as folder, ExitStack() as started:
-        for _ in range(ATTEMPTS):
+        attempts = 0
+        while True:
             links = plan(asked, folder)
             server = Server(links)
             started.callback(server.stop)
             up = server.wait_until_healthy(START_TIMEOUT_S, stopping.is_set)
+            attempts += 1
             # Another program may take the port, if only for a moment, after it was found free.
-            if up or stopping.is_set() or not server.port_was_taken:
+            if up or stopping.is_set() or not server.port_was_taken or attempts == ATTEMPTS:
                 break
         if up and not links.local_only:
             print(OPEN, file=sys.stderr)

@@ -124,6 +124,6 @@ def test_a_weighing_of_it_is_shown() -> None:
     app = draw("attention", run=report["data"], part=part, weighed=path.name)
     table = pd.read_csv(path / "profile.csv")
     for learner, of in table.groupby("learner"):
-        line = trace(figures(app)[0], meta=learner)
+        line = trace(figures(app)[0], meta=str(learner))
         medians = of.groupby("bin")["mean_weight"].median().to_numpy()
         assert array(line["customdata"]) == pytest.approx(medians, rel=1e-2, abs=1e-3)

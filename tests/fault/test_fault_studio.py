@@ -9,6 +9,7 @@ from faults import config, wait_until
 from kernel import alive, descendants
 from servers import answers, command_of, is_taken, studio
 
+from app.links import Links
 from app.servers import launcher
 from tom.record import Store
 from tom.record.rerun import viewer
