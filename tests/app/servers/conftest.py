@@ -1,47 +1,46 @@
-"""One studio and one browser for the tests of a module, over runs that they may change."""
+"""One browser a module, and one studio for those visits of it that change no run."""
 
-import shutil
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from studio_browser import DRAWN_S, Visit, studio_and_browser
+from studio_browser import DRAWN_S, Visit, studio
 
-from app.data import trainings
 from app.links import Links
-from tom.record.store import Store
+from app.servers.browser import chromium
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 
 @pytest.fixture(scope="module")
-def own_store(tmp_path_factory: pytest.TempPathFactory, store: Path) -> Path:
-    """A copy of the recorded runs that the visitors may change."""
-    path = tmp_path_factory.mktemp("visitor") / "store"
-    shutil.copytree(store, path)
-    return path
+def browser() -> Iterator["Browser"]:
+    with chromium() as browser:
+        yield browser
 
 
 @pytest.fixture(scope="module")
-def opened(own_store: Path) -> Iterator[tuple[Links, "Browser"]]:
-    with studio_and_browser(own_store) as opened:
-        yield opened
+def links(store: Path, browser: "Browser") -> Iterator[Links]:
+    with studio(store, browser) as links:
+        yield links
 
 
 @pytest.fixture
-def no_training_left(own_store: Path) -> Iterator[None]:
-    yield
-    for run in Store(own_store).runs():
-        if run.status.alive:
-            trainings.stop(Store(own_store), run.run_id)
+def visit(links: Links, browser: "Browser") -> Iterator[Visit]:
+    """A tab whose visitor changes no run."""
+    yield from _tab(links, browser)
 
 
 @pytest.fixture
-def visit(own: Path) -> Iterator[Visit]:
+def visit_own(own: Path, browser: "Browser") -> Iterator[Visit]:
     """A tab of a studio of its own, whose runs it may change."""
-    with studio_and_browser(own) as (links, browser):
-        page = browser.new_page(viewport={"width": 1280, "height": 1000})
+    with studio(own, browser) as links:
+        yield from _tab(links, browser)
+
+
+def _tab(links: Links, browser: "Browser") -> Iterator[Visit]:
+    with closing(browser.new_page(viewport={"width": 1280, "height": 1000})) as page:
         page.set_default_timeout(1000 * DRAWN_S)
         yield Visit(page, links)

@@ -16,7 +16,6 @@ import pytest
 from PIL import Image
 
 from app.links import Links
-from app.servers.browser import chromium
 from app.servers.launcher import serving
 
 if TYPE_CHECKING:
@@ -164,13 +163,13 @@ def until(page: "Page", holds, what: str) -> None:
 
 
 @contextmanager
-def studio_and_browser(store: Path, base: str = "") -> Iterator[tuple[Links, "Browser"]]:
-    """The studio of `store` with all its servers, and a browser that has not opened it yet.
+def studio(store: Path, browser: "Browser", base: str = "") -> Iterator[Links]:
+    """The studio of `store` with all its servers, which the browser has not opened yet.
 
     Fails at the end if a page of the studio, or a file saved from it, had an error.
     """
     errors: list[str] = []
-    with serving(Links(str(store), base=base), Event()) as (links, running), chromium() as browser:
+    with serving(Links(str(store), base=base), Event()) as (links, running):
 
         def note(page: "Page | None", error: str) -> None:
             if page is None or page.url.startswith((links.address, "file:")):
@@ -196,6 +195,7 @@ def studio_and_browser(store: Path, base: str = "") -> Iterator[tuple[Links, "Br
 
         assert running
         browser.on("context", watch)
-        yield links, browser
+        yield links
+        browser.remove_listener("context", watch)
     if errors:
         pytest.fail("\n".join(errors))

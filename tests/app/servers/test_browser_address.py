@@ -1,30 +1,33 @@
-"""What a visitor sees is in the address: for another tab, a reload, and Back."""
+"""What a visitor sees is in the address, and its charts and lists follow what they show."""
 
 import json
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from studio_browser import (
+    DRAWN_S,
     LOCAL,
     NEEDS_BROWSER,
     Visit,
     asked,
+    choose,
     drawn,
     lines,
     named,
     settle,
     shown_steps,
     until,
-    wait_until_steady,
     zoom_in,
 )
-from studio_runs import PENDULUM_TOM
+from studio_runs import PENDULUM_TOM, set_status, trains_elsewhere
 
+from tom.analysis.settings import USUAL
 from tom.record.reader import RunReader
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Locator, Page
 
 pytestmark = NEEDS_BROWSER
 START = "curves?task=inverted-pendulum"
@@ -59,27 +62,6 @@ def test_what_is_hidden_and_zoomed_is_in_the_address_and_back_goes_back(visit: V
     settle(page, "hide=pendulum-tom-1")
     counted(page, "TOM (1 seed, no band)")
     same_steps(page, zoomed)  # a redraw keeps it
-    shared = page.url
-
-    browser = page.context.browser
-    assert browser is not None
-    second = browser.new_page(viewport={"width": 1280, "height": 1000})  # somebody else's
-    second.goto(visit.links.opened(shared.removeprefix(f"{visit.links.address}/")))
-    counted(second, "TOM (1 seed, no band)")
-    assert lines(second) == {"TOM"}
-    same_steps(second, zoomed)
-    second.wait_for_url(shared)
-    second.get_by_role("button", name="Show all").click()
-    second.wait_for_url(lambda address: "hide=" not in address)
-    counted(second, "TOM (n = 2)")
-    until(second, lambda: lines(second) == {"MLE", "TOM"}, "MLE is not shown again")
-    box = drawn(second).locator(".nsewdrag").first.bounding_box()
-    assert box is not None
-    second.mouse.dblclick(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
-    second.wait_for_url(lambda address: "zoom=" not in address)
-    assert shown_steps(drawn(second)) == pytest.approx(all_steps)
-    second.close()
-
     page.reload()
     counted(page, "TOM (1 seed, no band)")
     same_steps(page, zoomed)
@@ -87,47 +69,13 @@ def test_what_is_hidden_and_zoomed_is_in_the_address_and_back_goes_back(visit: V
     page.wait_for_url(lambda address: "pendulum-tom-1" not in address)
     counted(page, "TOM (n = 2)")
     same_steps(page, zoomed)
-    page.go_back()
+    page.get_by_role("button", name="Show all").click()
+    until(page, lambda: lines(page) == {"MLE", "TOM"}, "MLE is not shown again")
+    box = drawn(page).locator(".nsewdrag").first.bounding_box()
+    assert box is not None
+    page.mouse.dblclick(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
     page.wait_for_url(lambda address: "zoom=" not in address)
-    page.wait_for_timeout(1500)
     assert shown_steps(drawn(page)) == pytest.approx(all_steps)
-    assert lines(page) == {"TOM"}
-    page.go_forward()
-    page.wait_for_url(lambda address: "zoom=" in address)
-    page.wait_for_timeout(1500)
-    same_steps(page, zoomed)
-
-
-@pytest.mark.quick
-def test_back_takes_back_one_choice_after_the_other(visit: Visit) -> None:
-    page = visit.page
-    page.goto(visit.links.opened(START))
-    drawn(page)
-    page.get_by_role("radio", name="Statistics").click()
-    settle(page, "part=Statistics")
-    page.get_by_role("radio", name="Curves").click()
-    page.wait_for_url(lambda address: "part=" not in address)
-    drawn(page)
-    page.get_by_role("button", name="Lines", exact=True).click()
-    page.get_by_text("log y").click()
-    settle(page, "logy=true")
-    page.go_back()
-    page.wait_for_url(lambda address: "logy" not in address)
-    drawn(page)
-    assert asked(page) == {"task": ["inverted-pendulum"]}
-    page.go_back()
-    page.get_by_text("Performance profile").wait_for()
-    assert page.get_by_role("radio", name="Statistics").is_checked()
-    page.go_back()
-    page.get_by_text("1000 resamples").wait_for()
-    assert page.get_by_role("radio", name="Curves").is_checked()
-    visit.open("Attention", "attention")
-    shown, busy = page.get_by_text("Every fit"), page.get_by_test_id("stStatusWidget")
-    # At rest: a picture asked for after its page was left is gone, which the console would tell.
-    wait_until_steady(page, lambda: shown.count() > 0 and not busy.count(), 1)
-    page.go_back()
-    page.get_by_text("1000 resamples").wait_for()
-    assert asked(page) == {"task": ["inverted-pendulum"]}
 
 
 def test_back_takes_back_a_step_and_a_run_and_no_correction(visit: Visit) -> None:
@@ -175,8 +123,8 @@ def test_back_takes_back_a_step_and_a_run_and_no_correction(visit: Visit) -> Non
     assert asked(page) == {"task": ["inverted-pendulum"]}
 
 
-def test_hostile_words_are_plain_words_in_the_list_of_runs(visit: Visit, own: Path) -> None:
-    path = own / PENDULUM_TOM / "config.json"
+def test_hostile_words_are_plain_words_in_the_list_of_runs(visit_own: Visit, own: Path) -> None:
+    visit, path = visit_own, own / PENDULUM_TOM / "config.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"learner": HOSTILE}))
     page = visit.page
     page.goto(visit.links.opened(START))
@@ -185,3 +133,82 @@ def test_hostile_words_are_plain_words_in_the_list_of_runs(visit: Visit, own: Pa
     page.locator(".runlist .run .name").first.wait_for()
     assert page.locator(".runlist img").count() == 0
     assert visit.asked <= LOCAL
+
+
+def seen_lines(chart: "Locator") -> int:
+    """The lines and bands that can be seen, not those that Plotly was told to draw."""
+    return chart.locator(".scatterlayer .trace").count()
+
+
+def test_a_chart_follows_its_page_whatever_its_groups_are_called(
+    visit_own: Visit,
+    own: Path,
+) -> None:
+    visit, path = visit_own, own / PENDULUM_TOM / "config.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"preset": "8.5, #a [b] > 'c' :d"}))
+    page = visit.page
+    page.goto(visit.links.opened("curves?task=inverted-pendulum"))
+    chart = drawn(page)
+    assert seen_lines(chart) == 4  # one of the three is hollow: an edge and its inside
+    group_by(page, "learner")
+    until(page, lambda: "TOM (n = 2)" in named(page), "not grouped")
+    until(page, lambda: seen_lines(chart) == 3, "not two lines and a band")
+    group_by(page, USUAL)
+    until(page, lambda: "TOM (n = 2)" not in named(page), "still grouped")
+    until(page, lambda: seen_lines(chart) == 4, "old lines have stayed")
+
+
+def group_by(page: "Page", what: str) -> None:
+    if not page.get_by_role("combobox", name="Group by").first.is_visible():  # it may be open yet
+        page.get_by_role("button", name="Filter and group").click()
+    choose(page, "Group by", what)
+    page.keyboard.press("Escape")
+
+
+def test_an_open_page_takes_up_a_training_that_starts(visit_own: Visit, own: Path) -> None:
+    page = visit_own.page
+    page.goto(visit_own.links.opened("?task=inverted-pendulum"))
+    page.get_by_text("Does it help?").wait_for()
+    trains_elsewhere(own / PENDULUM_TOM)
+    stop = page.get_by_role("button", name="Stop", exact=False)
+    stop.wait_for()
+    ended = {"state": "finished", "heartbeat": time.time()}
+    set_status(own / PENDULUM_TOM, **ended)
+    stop.wait_for(state="detached")
+    page.get_by_text("last return").first.wait_for()  # its card stays for a while
+
+
+def test_a_curve_follows_its_run_and_keeps_what_the_reader_has_zoomed_to(
+    visit_own: Visit,
+    own: Path,
+) -> None:
+    page, run = visit_own.page, own / PENDULUM_TOM
+    trains_elsewhere(run)
+    page.goto(visit_own.links.opened(f"curves?run={PENDULUM_TOM}&find={PENDULUM_TOM}"))
+    curve = drawn(page)
+    zoomed = zoom_in(curve)
+    trains_elsewhere(run)
+    record_another_return(run, 5000)
+    deadline = time.monotonic() + DRAWN_S
+    # While Plotly draws anew there is no data for a moment.
+    while curve.evaluate("plot => plot.calcdata?.at(-1)?.at(-1).x") != 5000:
+        assert time.monotonic() < deadline, "the curve does not follow its run"
+        page.wait_for_timeout(200)
+    assert shown_steps(curve) == pytest.approx(zoomed, rel=1e-4)
+
+
+def record_another_return(run: Path, step: int) -> None:
+    (run / "metrics.parquet").unlink()
+    with (run / "metrics.jsonl").open("a") as file:
+        file.write(json.dumps({"env_step": step, "eval/return": 1.0}) + "\n")
+
+
+def test_enter_takes_one_run_and_not_every_match(visit: Visit) -> None:
+    page = visit.page
+    page.goto(visit.links.opened("curves?part=Runs&task=inverted-pendulum"))
+    field = page.get_by_role("combobox", name="Runs to label or to move to the trash")
+    field.click()
+    field.press_sequentially("TOM")
+    page.get_by_role("option").first.wait_for()
+    field.press("Enter")
+    page.get_by_text("Move it to the trash").wait_for()

@@ -1,23 +1,53 @@
 """A visit to a studio behind a reverse proxy: everything below one path of one address."""
 
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from socketserver import BaseRequestHandler, ThreadingTCPServer
+from threading import Thread
 from typing import TYPE_CHECKING
 
-from reverse_proxy import reverse_proxy
-from studio_browser import NEEDS_BROWSER, studio_and_browser, wait_until_drawn
+from studio_browser import NEEDS_BROWSER, studio, wait_until_drawn
 from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Browser, Page
 
 pytestmark = NEEDS_BROWSER
 PREFIX = "/user/x/studio"
 
 
-def test_a_visit_behind_a_proxy_stays_below_its_path(store: Path) -> None:
+def pour(source: socket.socket, sink: socket.socket) -> None:
+    with suppress(OSError):
+        while part := source.recv(1 << 16):
+            sink.sendall(part)
+        sink.shutdown(socket.SHUT_WR)
+
+
+@contextmanager
+def proxy(port: int) -> Iterator[str]:
+    """The address of a proxy in front of `port`, which rewrites nothing."""
+
+    class Carrier(BaseRequestHandler):
+        def handle(self) -> None:
+            with socket.create_connection(("127.0.0.1", port)) as studio:
+                back = Thread(target=pour, args=(studio, self.request), daemon=True)
+                back.start()
+                pour(self.request, studio)
+                back.join()
+
+    with ThreadingTCPServer(("127.0.0.1", 0), Carrier) as server:
+        server.daemon_threads = True
+        Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_address[1]}{PREFIX}"
+        server.shutdown()
+
+
+def test_a_visit_behind_a_proxy_stays_below_its_path(store: Path, browser: "Browser") -> None:
     with (
-        studio_and_browser(store, base=f"{PREFIX}/") as (links, browser),
-        reverse_proxy(PREFIX, links.port) as address,
+        studio(store, browser, base=f"{PREFIX}/") as links,
+        proxy(links.port) as address,
     ):
         page = browser.new_page(viewport={"width": 1280, "height": 1000})
         page.set_default_timeout(60_000)

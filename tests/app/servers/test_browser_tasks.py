@@ -1,15 +1,25 @@
 """The ten things that a visitor comes for, by keyboard alone from the first key to the last."""
 
 import json
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from studio_browser import DRAWN_S, NEEDS_BROWSER, drawn, lines, until, wait_until_drawn
+from studio_browser import (
+    DRAWN_S,
+    NEEDS_BROWSER,
+    drawn,
+    lines,
+    studio,
+    until,
+    wait_until_drawn,
+)
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
 
+from app.data import trainings
 from app.links import Links
 from tom.record import manage
 from tom.record.store import Store
@@ -33,21 +43,29 @@ SEEN = """() => {
 }"""
 """whether a ring tells where the focus is, or the mark of a text"""
 
-FOCUSED = """() => {
-  const here = document.activeElement;
-  const name = here.ariaLabel || here.title || here.innerText || here.getAttribute("placeholder");
-  return name ? name.trim() : "";
-}"""
+
+@pytest.fixture(scope="module")
+def own_store(tmp_path_factory: pytest.TempPathFactory, store: Path) -> Path:
+    """A copy of the recorded runs that the visitors may change."""
+    return shutil.copytree(store, tmp_path_factory.mktemp("visitor") / "store")
+
+
+@pytest.fixture(scope="module")
+def links(own_store: Path, browser: "Browser") -> Iterator[Links]:
+    with studio(own_store, browser) as links:
+        yield links
 
 
 @pytest.fixture
-def page(opened: tuple[Links, "Browser"], no_training_left: None) -> Iterator["Page"]:
-    links, browser = opened
+def page(links: Links, browser: "Browser", own_store: Path) -> Iterator["Page"]:
     page = browser.new_page(viewport={"width": 1280, "height": 1000}, base_url=links.address)
     page.set_default_timeout(1000 * DRAWN_S)
     page.goto(links.opened())
     yield page
     page.close()
+    for run in Store(own_store).runs():
+        if run.status.alive:
+            trainings.stop(Store(own_store), run.run_id)
 
 
 def reach(element: "Locator") -> None:
@@ -234,20 +252,6 @@ def test_a_run_is_labelled_put_into_the_trash_and_brought_back(
     press(bring_back)
     page.get_by_text("1 in the trash").wait_for(state="detached")
     assert store.run("pendulum-tom-1").labels.name == "the steady one"
-
-
-def test_a_menu_opens_by_enter_and_escape_gives_the_focus_back(page: "Page") -> None:
-    page.goto("/curves")
-    page.locator(".runlist .section").first.wait_for()
-    page.wait_for_load_state("networkidle")
-    link = page.get_by_test_id("stPopover").get_by_role("button", name="Link").first
-    link.wait_for()
-    link.focus()
-    page.keyboard.press("Enter")
-    page.get_by_text("This address shows what you see now").wait_for()
-    page.keyboard.press("Escape")
-    until(page, lambda: "Link" in page.evaluate(FOCUSED), "the menu has lost the focus")
-    page.get_by_text("This address shows what you see now").wait_for(state="hidden")
 
 
 def test_a_search_by_slash_and_help_by_question_mark(page: "Page") -> None:

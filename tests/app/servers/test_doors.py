@@ -3,12 +3,11 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
 import pytest
-from studio_browser import NEEDS_BROWSER, studio_and_browser
+from studio_browser import NEEDS_BROWSER
 
 from app.links import Links
 
@@ -16,11 +15,6 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 pytestmark = NEEDS_BROWSER
-SOCKET = """address => new Promise(done => {
-    const socket = new WebSocket(address, ["streamlit", "none"]);
-    socket.onopen = () => done("open");
-    socket.onerror = () => done("refused");
-})"""
 READ = """address => fetch(address).then(answer => answer.text(), () => "refused")"""
 
 FRAME = """address => new Promise(done => {
@@ -58,16 +52,9 @@ def elsewhere() -> Iterator[tuple[int, list[str]]]:
         server.shutdown()
 
 
-@pytest.fixture(scope="module")
-def opened(store: Path) -> Iterator[tuple[Links, "Browser"]]:
-    with studio_and_browser(store) as opened:
-        yield opened
-
-
 @pytest.fixture
-def foreign(opened: tuple[Links, "Browser"]) -> Iterator["Page"]:
+def foreign(links: Links, browser: "Browser") -> Iterator["Page"]:
     """A page of another port, in a browser that has the studio open and holds its key."""
-    links, browser = opened
     with elsewhere() as (port, _), browser.new_context() as context:
         context.new_page().goto(links.opened())
         page = context.new_page()
@@ -83,11 +70,9 @@ def may_start(page: "Page") -> bool:
     return start.is_visible()
 
 
-@pytest.mark.quick
 def test_who_opened_the_printed_address_may_act_and_so_do_their_other_tabs(
-    opened: tuple[Links, "Browser"],
+    links: Links, browser: "Browser"
 ) -> None:
-    links, browser = opened
     with browser.new_context() as context:
         first, second = context.new_page(), context.new_page()
         first.goto(links.opened())
@@ -98,16 +83,14 @@ def test_who_opened_the_printed_address_may_act_and_so_do_their_other_tabs(
 
 
 @pytest.mark.parametrize("given", ["", "#key=another", "#key=no <token>"])
-def test_another_browser_looks_on(given: str, opened: tuple[Links, "Browser"]) -> None:
-    links, browser = opened
+def test_another_browser_looks_on(given: str, links: Links, browser: "Browser") -> None:
     with browser.new_context() as context:
         page = context.new_page()
         page.goto(f"{links.address}/{given}")
         assert not may_start(page)
 
 
-def test_another_port_gets_no_key_from_the_browser(opened: tuple[Links, "Browser"]) -> None:
-    links, browser = opened
+def test_another_port_gets_no_key_from_the_browser(links: Links, browser: "Browser") -> None:
     with elsewhere() as (port, cookies), browser.new_context() as context:
         page = context.new_page()
         page.goto(links.opened())
@@ -119,10 +102,7 @@ def test_another_port_gets_no_key_from_the_browser(opened: tuple[Links, "Browser
         assert all(links.key not in cookie for cookie in cookies)
 
 
-def test_another_port_reaches_nothing(opened: tuple[Links, "Browser"], foreign: "Page") -> None:
-    links, _ = opened
-    for path in ("_stcore/stream", "viser/page"):
-        assert foreign.evaluate(SOCKET, f"ws://127.0.0.1:{links.port}/{path}") == "refused"
+def test_another_port_reaches_nothing(links: Links, foreign: "Page") -> None:
     for path in ("", "viser/page/", "rerun/", "api/health"):
         assert foreign.evaluate(READ, f"{links.address}/{path}") == "refused"
     for path in ("", "viser/page/", "rerun/"):
@@ -132,9 +112,8 @@ def test_another_port_reaches_nothing(opened: tuple[Links, "Browser"], foreign: 
 
 @pytest.mark.parametrize("page", ["viser/page/?websocket=ws:", "rerun/?url=http:"])
 def test_an_address_that_names_a_foreign_source_for_a_viewer_reaches_none(
-    page: str, opened: tuple[Links, "Browser"]
+    page: str, links: Links, browser: "Browser"
 ) -> None:
-    links, browser = opened
     with elsewhere() as (port, cookies), browser.new_context() as context:
         visit = context.new_page()
         visit.goto(f"{links.address}/{page}//127.0.0.1:{port}/evil")

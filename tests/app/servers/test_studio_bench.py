@@ -1,6 +1,7 @@
 """The store that `tom bench studio` measures with, and what its rows say."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -8,18 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from app.data import readers, studies
-from app.servers import browser_bench
+from app.data import readers
+from app.servers import browser_bench, map_bench
 from app.servers.bench import (
-    FIGURES,
     KINDS,
-    LINES,
     METRICS,
     POINTS,
-    STUDIES,
     main,
     make_store,
-    make_studies,
 )
 from tom.cli import bench
 from tom.cli import main as tom
@@ -38,17 +35,6 @@ def test_the_store_is_as_large_as_the_measurement_says(tmp_path: Path) -> None:
         assert readers.metrics(run).shape == (POINTS, METRICS + 1)
         assert len(readers.profiles(run).env_step) == POINTS
         assert readers.problems(run) == []
-
-
-def test_the_studies_have_figures_and_a_table(tmp_path: Path) -> None:
-    make_studies(tmp_path)
-    found = studies.listing(tmp_path)
-    assert [len(study.figures) for study in found] == [FIGURES] * STUDIES
-    for study in found:
-        assert study.report is not None
-        table = studies.table(study.tables[0])
-        assert table is not None
-        assert len(table) == LINES
 
 
 def test_the_number_of_runs_reaches_the_measurement(
@@ -74,3 +60,11 @@ def test_memory_and_processor_seconds_are_those_of_all_processes_below() -> None
         assert 100 < browser_bench.memory_mb(process.pid) < 150
         assert browser_bench.processor_s(process.pid) > 0.05
         os.killpg(process.pid, signal.SIGKILL)
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium")
+def test_the_bench_of_the_map_measures_a_buffer(tmp_path: Path) -> None:
+    found = list(map_bench.measure(tmp_path, (400,)))
+    assert len(found) == 5
+    assert all(one.value > 0 and one.target is None for one in found)
