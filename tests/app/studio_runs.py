@@ -10,11 +10,8 @@ from copy import copy
 from pathlib import Path
 from tempfile import TemporaryFile
 
-import numpy as np
-
 from app.data import readers
 from app.data.trainings import Started
-from tom.envs import scene
 from tom.machine import processes
 from tom.record import layout
 from tom.record.files import replace_json
@@ -23,8 +20,6 @@ from tom.record.reader import RunReader
 ROAD_TOM = "road-tom"
 ROAD_MLE = "road-mle"
 PENDULUM_TOM = "pendulum-tom-0"
-WAITING = "import time; time.sleep(600)"
-"""a program for `stand_in`"""
 RUNS = (
     (PENDULUM_TOM, "inverted-pendulum", "tom", {"seed": 0, "steps": 400}),
     ("pendulum-tom-1", "inverted-pendulum", "tom", {"seed": 1, "steps": 400}),
@@ -50,17 +45,6 @@ def altered(run: RunReader, **facts: object) -> RunReader:
     other.__class__ = type("Altered", (type(run),), facts)
     vars(other).update(facts)
     return other
-
-
-def undescribed(run: Path) -> None:
-    """Make a run of the pendulum one in a task of its own, whose description is damaged."""
-    content = json.loads((run / layout.CONFIG).read_text())
-    content["env"] = content["config"]["env"] = "gymnasium:Lost-v0"
-    content["task"] = {"obs_names": []}
-    (run / layout.CONFIG).unlink()  # which may be a link to the file of the run itself
-    (run / layout.CONFIG).write_text(json.dumps(content))
-    geometry = scene.arrays(scene.model("inverted-pendulum"))
-    np.savez_compressed(run / layout.SCENE, allow_pickle=False, **geometry)
 
 
 def stand_in(words: Sequence[str], program: str) -> Started:

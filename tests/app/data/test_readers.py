@@ -72,29 +72,6 @@ def test_a_damaged_run_is_named_and_the_others_stay(own: Path) -> None:
     assert readers.problems(info(own, PENDULUM_TOM)) == []
 
 
-def test_a_folder_that_is_no_run_any_more_is_named(own: Path) -> None:
-    assert [run.run_id for run in readers.listing(str(own)).runs] == [PENDULUM_TOM]
-    config = own / PENDULUM_TOM / "config.json"
-    whole = config.read_text()
-    config.write_text(whole[:40])
-    found = readers.listing(str(own))
-    assert found.runs == ()
-    assert found.problems[0].startswith(f"{PENDULUM_TOM}: no run (config.json cannot be read")
-    config.write_text(whole)
-    assert [run.run_id for run in readers.listing(str(own)).runs] == [PENDULUM_TOM]
-
-
-def test_a_run_replaced_by_a_link_to_it_is_not_followed(own: Path, tmp_path: Path) -> None:
-    readers.listing(str(own))
-    outside = tmp_path / "outside"
-    outside.mkdir()
-    (own / PENDULUM_TOM).rename(outside / PENDULUM_TOM)
-    (own / PENDULUM_TOM).symlink_to(outside / PENDULUM_TOM)
-    found = readers.listing(str(own))
-    assert found.runs == ()
-    assert any("is a link" in problem for problem in found.problems)
-
-
 def test_points_are_what_a_curve_would_have(store: Path) -> None:
     run = info(store, PENDULUM_TOM)
     frame = readers.metrics(run)

@@ -17,6 +17,7 @@ from kernel import LOOPBACK, alive, descendants, listening, wait_for
 from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 from app.__main__ import main
+from app.links import Links
 from app.servers import launcher
 from app.servers.launcher import Server, is_free, serving
 from tom.machine.address import free_port

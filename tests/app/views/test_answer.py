@@ -49,8 +49,7 @@ def at(step: float, curve: list[tuple[int, float]]) -> float:
 @pytest.fixture
 def sentences(show: Show) -> list[str]:
     show(RUNS)
-    page = draw("answer", task="hopper")
-    return [plain(one.value) for one in page.markdown]
+    return [plain(one.value) for one in draw("answer", task="hopper").markdown]
 
 
 def test_the_share_of_the_newest_fifth_is_that_of_the_files(groups, sentences):

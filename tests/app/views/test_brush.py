@@ -1,24 +1,19 @@
 """The counterfactual brush: what the page shows is what `tom brush` measured."""
 
 import json
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
-from kernel import wait_for
-from studio_pages import Show, array, captions, draw, figures, in_buffer
-from studio_runs import PENDULUM_TOM, WAITING, info, stand_in, undescribed, with_weighing
+from studio_pages import Show, array, draw, figures, in_buffer
+from studio_runs import PENDULUM_TOM, info, with_weighing
 
-from app.data import buffer_map, trainings, weighings
-from app.data.weighings import Brushed, Weighing
+from app.data import buffer_map, weighings
+from app.data.weighings import Brushed
 from app.figures.why import error_bars
-from app.parts import jobs
-from app.theme import Mode
 from app.views.attention.in_buffer import table
-from app.views.attention.why import brushing, command
+from app.views.attention.why import command
 from tom.analysis.brush import REGION, REST
 from tom.cli import main
 from tom.record.decode import read_table
@@ -116,61 +111,12 @@ def test_a_small_copy_keeps_the_brush(made: Path, store: Path, tmp_path: Path) -
     assert weighings.brushed(replace(brush, path=copy)) is not None
 
 
-def test_a_brush_of_a_task_that_is_not_described_has_no_ghosts(brushed: Path) -> None:
-    undescribed(brushed / PENDULUM_TOM)
-    app = in_buffer(run=PENDULUM_TOM, step=str(FIT))
-    assert "No ghosts" in captions(app)
-
-
-SIZE = {"layers": 2, "hidden": 8}
-
-
-@pytest.mark.parametrize(
-    ("model", "results"),
-    [(SIZE, [{"errors": []}]), (SIZE, None), ({}, [])],
-)
-def test_a_damaged_report_is_no_brush(model: object, results: object, tmp_path: Path) -> None:
-    about = {"model": model, "region": {}}
-    report = {"brush": about, "results": results, "step": FIT}
-    pd.DataFrame({"region": [True, False]}).to_parquet(tmp_path / WEIGHTS)
-    assert weighings.brushed(Weighing(tmp_path, report)) is None
-
-
-def test_the_rows_of_a_brush_are_kept_until_it_ends(
-    studio: None, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(trainings, "start", lambda words: stand_in(words, WAITING))
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    app = in_buffer(run=PENDULUM_TOM, step=str(FIT), where="weight rank 99..")
-    app.button(key="brush it").click().run()
-    job = brushing(info(store, PENDULUM_TOM))
-    begun = jobs.begun()[job]
-    try:
-        assert len(np.loadtxt(begun.words[begun.words.index("--rows") + 1])) == 3
-        app.button(key=f"stop {job}").click().run()
-    finally:
-        begun.process.kill()
-    wait_for(lambda: not list(tmp_path.iterdir()))
-
-
-def test_a_brush_that_failed_says_so_until_the_next(brushed: Path) -> None:
-    app = in_buffer(run=PENDULUM_TOM, step=str(FIT))
-    words = command(PENDULUM_TOM, "no-such-file", FIT, "", (0, 4), str(brushed))
-    failed = trainings.start(words)
-    assert failed.process.wait(60) == 2
-    jobs.begun()[brushing(info(brushed, PENDULUM_TOM))] = failed
-    for _ in range(2):
-        app.run()
-        assert any("No such file" in said.value for said in app.code)
-
-
-@pytest.mark.parametrize("mode", ["light", "dark"])
-def test_every_factor_has_a_bar_and_what_was_not_measured_has_none(mode: Mode) -> None:
+def test_every_factor_has_a_bar_and_what_was_not_measured_has_none() -> None:
     factors = (0.0, 0.25, 0.5, 2.0, 4.0)
     errors = {factor: [0.5 + factor, 0.7 + factor] for factor in (*factors, 1.0)}
     region = {factor: [np.nan, np.nan] for factor in errors}
     found = Brushed("b", 10, 100, 300, {}, {REGION: region, REST: errors}, {})
-    bars = error_bars(found, 300, mode).to_dict()["data"]
+    bars = error_bars(found, 300, "dark").to_dict()["data"]
     assert len(bars) == len({bar["marker"]["color"] for bar in bars}) == len(factors)
     drawn = array(bars[-1]["y"])
     assert np.isnan(drawn[0])

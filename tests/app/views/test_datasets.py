@@ -100,13 +100,6 @@ def test_a_weighing_of_random_rows_and_those_of_a_step_shows_all_its_rows(
     assert map_of(app)["sources"][0]["count"] == 2 * N
 
 
-def test_the_map_counts_the_rows_of_the_file(weighed: Path):
-    learner = "PMAC s0, first"
-    app = in_buffer(run=named(weighed, "my buffer"), weights=learner)
-    assert learner in app.selectbox(key="weights").options
-    assert map_of(app)["sources"][0]["count"] == N
-
-
 def test_weights_that_cannot_be_read_are_said(weighed: Path, tmp_path: Path, show: Show):
     shutil.copytree(weighed, tmp_path / "store")
     for path in (tmp_path / "store").rglob("weights.parquet"):

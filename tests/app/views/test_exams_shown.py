@@ -1,20 +1,17 @@
 """Exams on the pages, of real recorded runs: Answer and Attention."""
 
-import json
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from studio_pages import array, captions, draw, figures, numbers_behind, parts, recorded
+from studio_pages import array, draw, figures, numbers_behind, parts, recorded
 from studio_runs import PENDULUM_TOM
 
 from app.data.exams import Exams, ranking
 from app.views.answer.numbers import table, verdict
 from app.views.attention import about_weights, of_which_weights
 from tom.readable import short
-from tom.record import layout
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
@@ -56,20 +53,6 @@ def trace_or_none(figure: dict, learner: str) -> dict | None:
 
 def points(one: dict) -> list[tuple[float, float]]:
     return list(zip(array(one["x"]).tolist(), array(one["y"]).tolist(), strict=True))
-
-
-def test_runs_are_named_that_sat_no_exam(own: Path) -> None:
-    rows = own / PENDULUM_MLE / layout.METRICS  # as before exams were recorded
-    kept = [
-        {name: value for name, value in json.loads(line).items() if not name.startswith("exam/")}
-        for line in rows.read_text().splitlines()
-    ]
-    rows.write_text("".join(json.dumps(row) + "\n" for row in kept))
-    (own / PENDULUM_MLE / layout.METRICS_TABLE).unlink(missing_ok=True)
-    app = numbers_behind(task=PENDULUM)
-    (line,) = [words for words in captions(app).splitlines() if "no exam" in words]
-    assert "MLE s0" in line
-    assert "TOM" not in line
 
 
 @pytest.mark.parametrize(
@@ -116,17 +99,6 @@ def learners(errors: Mapping[str, list[float]]) -> list[Exams]:
         for name, values in errors.items()
         for seed, error in enumerate(values)
     ]  # fmt: skip
-
-
-def test_a_run_that_ended_early_is_left_out_of_its_group() -> None:
-    runs = learners({"MLE": [0.2] * 5, "TOM": [0.15] * 6})
-    early = [replace(runs[-1], step=np.array([50])), *learners({"PMAC": [0.1] * 3})]
-    early = [replace(one, step=np.array([50])) for one in early]
-    result = ranking([*runs[:-1], *early])
-    shown = table(result).set_index("group")
-    assert (shown.loc["PMAC", "runs"], shown.loc["TOM", "runs"]) == (0, 5)
-    assert [one for one in [*runs[:-1], *early] if result.ended_before(one)] == early
-    assert not any(ranking(runs).ended_before(one) for one in runs)
 
 
 def test_the_verdict_names_who_errs_least_and_by_how_much() -> None:

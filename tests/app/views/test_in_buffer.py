@@ -17,14 +17,12 @@ from studio_runs import PENDULUM_TOM, info
 from app.data import buffer, buffer_map, cache, columns
 from app.data.buffer import WINDOW, Rows, poses, windows
 from app.data.columns import Column
-from app.data.selection import between, inside
+from app.data.selection import Selection, between, inside
 from app.parts import timeline
 from app.scenes import control, solids
 from app.views.attention.in_buffer import table
-from tom.data.transitions import Transitions
 from tom.envs import scene, task
 from tom.record.reader import RunReader
-from tom.record.task_record import dimension_names
 
 pytestmark = pytest.mark.usefixtures("studio")
 FIT = 300
@@ -35,22 +33,6 @@ def rows(store: Path) -> Rows:
     found = buffer.rows(info(store, PENDULUM_TOM), FIT)
     assert found is not None
     return found
-
-
-def made(count: int) -> Transitions:
-    """Episodes of three steps whose observation counts rows."""
-    obs = np.arange(count, dtype=np.float32)[:, None]
-    ended = (np.arange(count) % 3 == 2).astype(np.float32)
-    return Transitions(obs, obs * 0, np.ones(count, np.float32), obs + 1, ended, ended * 0)
-
-
-def test_only_dimensions_of_road_and_rocks_are_called_x_and_y() -> None:
-    two, one = np.zeros((3, 2)), np.zeros(3)
-    plane = Transitions(two, two, one, two, one, one)
-    assert dimension_names("road-and-rocks", plane)[0] == ["x", "y"]
-    others = "gymnasium:MountainCarContinuous-v0"
-    assert dimension_names(others, plane)[0] == ["observation 1", "observation 2"]
-    assert dimension_names(others, plane, ("position", "velocity"))[0] == ["position", "velocity"]
 
 
 def test_the_robots_are_those_of_the_timelines_fit(store: Path, tmp_path: Path, show: Show) -> None:
@@ -72,14 +54,6 @@ def test_the_robots_are_those_of_the_timelines_fit(store: Path, tmp_path: Path, 
         (_, heavy, weights), _ = choice.groups
         assert weights == pytest.approx(weight[list(heavy)], abs=1e-4)
         assert weights[0] == pytest.approx(weight.max(), abs=1e-4)
-
-
-def test_picks_keep_their_distance(rows: Rows) -> None:
-    everything = np.ones(len(rows), bool)
-    heavy, light = buffer.heavy_and_light(rows, everything, 5, 10)
-    assert heavy[0] == rows.weight.argmax()
-    assert rows.weight[light].max() <= rows.weight[heavy].min()
-    assert min(abs(a - b) for a in heavy for b in heavy if a != b) >= 10
 
 
 def test_a_moment_stays_in_its_episode() -> None:
@@ -106,13 +80,17 @@ def test_robots_stand_as_they_were_recorded(store: Path, rows: Rows) -> None:
     assert poses(task("hopper"), recorded, kept, windows(ended, [7]))[0, WINDOW, 0] == 0
 
 
-def chosen(app: AppTest) -> NDArray[np.int64]:
+def chosen(app: AppTest) -> list[int]:
     """The recorded numbers of the chosen rows, as the page's table has them (at most 300)."""
-    return np.sort(app.dataframe[0].value["row"].to_numpy(np.int64))
+    return sorted(app.dataframe[0].value["row"])
 
 
-def selected(**query: str | list[str]) -> NDArray[np.int64]:
-    return chosen(in_buffer(**({"run": PENDULUM_TOM, "step": str(FIT)} | query)))
+def selected(store: Path, *where: str, outline: str = "", fit: int = FIT) -> list[int]:
+    """The recorded numbers of the rows that the words of an address choose."""
+    run = info(store, PENDULUM_TOM)
+    source = buffer_map.sources(run)[str(fit)]
+    mask = buffer_map.chosen(run, source, Selection.of(where, [outline]))
+    return (source.first + np.flatnonzero(mask)).tolist()
 
 
 def test_an_outline_holds_what_is_inside() -> None:
@@ -145,40 +123,39 @@ def test_codes_of_weights_keep_zero_apart_and_the_rest_to_a_thousandth() -> None
     assert between(equal, columns.RANK, (99, None)).all()
 
 
-def test_intervals_and_presets_of_an_address_choose_the_rows(rows: Rows) -> None:
+def test_intervals_and_presets_of_an_address_choose_the_rows(rows: Rows, store: Path) -> None:
     angle = np.asarray(rows.rows.obs)[:, 1]
     middle = float(f"{np.median(angle):.4g}")
-    assert (
-        selected(where=[f"pole angle {middle}.."]).tolist()
-        == (rows.first + np.flatnonzero(angle >= middle)).tolist()
-    )
-    assert selected(where=["age ..50"]).tolist() == list(range(rows.first, rows.first + 150))
+    higher, old = f"pole angle {middle}..", "age ..50"
+    expected = (rows.first + np.flatnonzero(angle >= middle)).tolist()
+    assert selected(store, higher) == expected
+    assert chosen(in_buffer(run=PENDULUM_TOM, step=str(FIT), where=higher)) == expected
+    assert selected(store, old) == list(range(rows.first, rows.first + 150))
     heaviest = rows.first + np.argsort(rows.weight)[-3:]
-    assert selected(where=["weight rank 99.."]).tolist() == sorted(heaviest.tolist())
+    assert selected(store, "weight rank 99..") == sorted(heaviest)
     zero = rows.first + np.flatnonzero(rows.weight == 0)
-    assert selected(where=["weight ..0"]).tolist() == zero.tolist()
-    both = selected(where=[f"pole angle {middle}..", "age ..50"])
-    assert both.tolist() == (rows.first + np.flatnonzero(angle[:150] >= middle)).tolist()
+    assert selected(store, "weight ..0") == zero.tolist()
+    both = (rows.first + np.flatnonzero(angle[:150] >= middle)).tolist()
+    assert selected(store, higher, old) == both
     for malformed in ("pole angle x..1", "nothing 1..2", "1..2", "age"):
-        assert len(selected(where=[malformed])) == FIT
+        assert len(selected(store, malformed)) == FIT
 
 
-def test_an_outline_keeps_its_rows_on_every_plane(rows: Rows) -> None:
+def test_an_outline_keeps_its_rows_on_every_plane(rows: Rows, store: Path) -> None:
     obs = np.asarray(rows.rows.obs)
     x = float(np.median(obs[:, 0]))
     outline = f"two@cart x|pole angle {x:.6g},-9;9,-9;9,9;{x:.6g},9"
     expected = (rows.first + np.flatnonzero(obs[:, 0] > float(f"{x:.6g}"))).tolist()
-    for plane in ("contrast", "principal", "two"):
+    for plane in ("contrast", "two"):
         app = in_buffer(run=PENDULUM_TOM, step=str(FIT), outline=outline, plane=plane)
         assert len(np.setxor1d(chosen(app), expected)) <= 1  # a row on the border
         assert app.query_params["outline"] == outline
     for malformed in ("1,nan;x", "two@a|b 0,0;1,1;2,2", "contrast@9 0,0;1,1"):
-        assert len(selected(outline=malformed)) == FIT
+        assert len(selected(store, outline=malformed)) == FIT
 
 
 def test_the_browser_gets_each_array_of_the_buffer(rows: Rows, store: Path) -> None:
-    app = in_buffer(run=PENDULUM_TOM, step=str(FIT))
-    given = map_of(app)
+    given = map_of(in_buffer(run=PENDULUM_TOM, step=str(FIT)))
 
     def array(url: str) -> NDArray[np.uint16]:
         content = cache.array(url.rpartition("/")[2])
@@ -208,8 +185,8 @@ def test_map_and_file_have_one_policy_distance_that_of_the_fits_own_policy(store
         far = columns.decode(np.frombuffer(content, np.uint16), columns.DISTANCE)
         saved = table(run, buffer_map.sources(run)[str(fit)])["policy_distance"].to_numpy()
         assert far == pytest.approx(saved, abs=1e-4)
-        near = selected(where=["policy distance ..0.5"], step=str(fit))
-        assert near.tolist() == np.flatnonzero(saved <= 0.5).tolist()
+        near = selected(store, "policy distance ..0.5", fit=fit)
+        assert near == np.flatnonzero(saved <= 0.5).tolist()
         distances.append(far)
     assert len(distances) == 2
     assert distances[0] != pytest.approx(distances[1][: len(distances[0])], abs=1e-3)

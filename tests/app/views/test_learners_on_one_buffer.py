@@ -1,19 +1,17 @@
 """Every learner on one buffer: stored weighings of a run's buffer, and how they are made."""
 
 import json
-import shlex
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from studio_pages import Show, array, captions, draw, figures, map_of, on_one_buffer, plain, trace
+from studio_pages import Show, array, captions, draw, figures, on_one_buffer, plain, trace
 from studio_runs import PENDULUM_TOM, info, with_weighing
 
 from app.data import buffer, weighings
-from app.views.attention.learners import FOREIGN, nearest
-from tom import plugins
+from app.views.attention.learners import nearest
 from tom.analysis.progression import progression
 from tom.cli import main
 from tom.record.reader import RunReader
@@ -105,25 +103,6 @@ def test_a_weighing_of_a_run_that_went_on_is_of_its_first_rows(weighed: Path) ->
     assert (rows.first, len(rows)) == (0, ROWS)
 
 
-def test_the_chosen_runs_newest_weighing_is_shown(weighed: Path) -> None:
-    newer = shutil.copytree(weighed, weighed.with_name("a newer one"))
-    (newer / REPORT).touch()
-    app = on_one_buffer(run="pendulum-mle-0")  # which nobody has weighed
-    app.session_state["run"] = [PENDULUM_TOM]  # as a click on its name does
-    app.run()
-    assert app.selectbox(key="weighed").value == "a newer one"
-    assert "weighed" not in app.query_params
-
-
-def test_damaged_weighings_are_left_out(weighed: Path) -> None:
-    run = info(weighed.parents[1], PENDULUM_TOM)
-    (weighed / "weights.parquet").write_bytes(b"torn")
-    assert weighings.of_run(run, ROWS)[0].weights() == {}
-    assert on_one_buffer(run=PENDULUM_TOM).warning
-    (weighed / REPORT).write_text("[")
-    assert weighings.of_run(run, ROWS) == []
-
-
 @pytest.mark.parametrize(
     "words",
     [
@@ -167,26 +146,6 @@ def test_every_learner_on_the_buffer_of_a_fit(weighed: Path) -> None:
     assert f"{step} transitions" in captions(app)
 
 
-def test_a_policy_of_another_library_is_typed_in_a_terminal(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv(plugins.VARIABLE, '["/somewhere/own.py"]')
-    app = on_one_buffer(run="pendulum-mle-0")  # which nobody has weighed
-    app.selectbox(key="weigh policy").select(FOREIGN).run()
-    app.text_input(key="weigh foreign").input("my policy.pt").run()
-    (typed,) = (code.value for code in app.code if code.value.startswith("tom weigh pendulum"))
-    words = shlex.split(typed)
-    assert words[words.index("--policy") + 1] == "my policy.pt"
-    assert words[-2:] == ["--plugin", "/somewhere/own.py"]
-    assert "weigh" not in [button.key for button in app.button]
-
-
-def test_the_buffers_map_can_show_a_weighings_weights(weighed: Path) -> None:
-    weight = pd.read_parquet(weighed / "weights.parquet")["tom-s1"].to_numpy()
-    app = draw("attention", run=PENDULUM_TOM, weights="TOM s1, made", rows="true")
-    [source] = map_of(app)["sources"]
-    assert (source["label"], source["count"]) == ("TOM s1, made", ROWS)
-    assert float(app.dataframe[0].value["weight"].to_numpy().max()) == pytest.approx(weight.max())
-
-
 def test_the_learner_named_nearest_is_that_of_the_least_median_footprint(weighed: Path) -> None:
     report = json.loads((weighed / REPORT).read_text())
     of: dict[str, list[float]] = {}
@@ -210,12 +169,3 @@ def test_a_gap_counts_if_it_is_wider_than_seeds_of_one_learner_differ() -> None:
     assert "more than" not in one
     assert "at most 2 %" in nearest({"tom": near, "mle": far[:1]})  # of those with two seeds
     assert nearest({"tom": near}) == nearest({"tom": near, "mle": far * np.nan}) == ""
-
-
-def test_a_buffer_that_cannot_be_read_is_said(own: Path) -> None:
-    for segment in (own / PENDULUM_TOM / "buffer").glob("*.npz"):
-        segment.write_bytes(b"torn")
-    assert draw("attention", run=PENDULUM_TOM).warning
-    app = on_one_buffer(run=PENDULUM_TOM)
-    assert app.warning
-    assert not figures(app)

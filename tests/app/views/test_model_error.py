@@ -15,7 +15,6 @@ from studio_runs import PENDULUM_TOM, altered, info, set_status
 
 from app.data import buffer, readers
 from app.views.answer.numbers import focus_values, in_turn, of_like_length
-from tom.cli import main
 from tom.record import checkpoint, layout
 from tom.record.reader import RunReader
 
@@ -47,10 +46,9 @@ def test_every_kept_model_is_asked_about_the_same_buffer(store: Path) -> None:
             assert array(trace(figure, meta=run_id)["y"]).tolist() == [of[-1] for of in pair]
 
 
-@pytest.mark.parametrize("torn", ["every segment", "all but the last"])
-def test_a_buffer_that_cannot_be_read_is_no_error(torn: str, own: Path) -> None:
-    *others, last = sorted((own / PENDULUM_TOM / "buffer").glob("*.npz"))
-    for segment in [*others, last] if torn == "every segment" else others:
+def test_a_buffer_that_cannot_be_read_is_no_error(own: Path) -> None:
+    *others, _ = sorted((own / PENDULUM_TOM / "buffer").glob("*.npz"))
+    for segment in others:
         segment.write_bytes(b"torn")
     drawn = figures(behind())
     names = [line.get("name", "") for figure in drawn for line in figure["data"]]
@@ -90,20 +88,14 @@ def test_errors_in_sample_are_of_the_last_fits_that_every_run_reaches(
     }
 
 
-def test_runs_of_another_length_or_without_a_model_are_left_out_and_named(
-    store: Path, own: Path
-) -> None:
+def test_runs_of_another_length_are_left_out_and_named(store: Path, own: Path) -> None:
     runs = [info(store, run_id) for run_id in (PENDULUM_TOM, OTHER_TOM, MLE)]
     short = altered(runs[0], status=replace(runs[0].status, env_step=150))
     assert of_like_length([short, *runs]) == (runs, [short])
     assert of_like_length([]) == ([], [])
     set_status(own / OTHER_TOM, env_step=90)
-    words = ["record-sac", "--env", "inverted-pendulum", "--steps", "200", "--run-id", "alone"]
-    words += ["--exploration-steps", "100", "--sac.hidden", "16", "--evaluation.episodes", "1"]
-    assert main([*words, "--store", str(own), "--no-rerun"]) == 0
     app = behind()
     assert any("TOM s1" in line and "90" in line for line in left_out(app))
-    assert any("SAC s0" in line for line in left_out(app))
     for figure in figures(app)[-3:]:
         assert all(line.get("meta") != OTHER_TOM for line in figure["data"])
 
@@ -118,11 +110,3 @@ def test_a_run_that_measured_nothing_or_kept_no_model_is_named(own: Path) -> Non
     said = left_out(behind())
     assert [("MLE" in words, "TOM" in words) for words in said] == [(True, False)] * 3
     assert ["model" in words for words in said] == [True, False, False]
-
-
-def test_a_run_without_a_buffer_has_its_part_in_what_was_recorded(own: Path) -> None:
-    shutil.rmtree(own / MLE / "buffer")
-    *_, here, one_step, five_steps = figures(behind())
-    assert trace(here, name="MLE s0")
-    assert trace(one_step, meta=MLE)
-    assert trace(five_steps, meta=MLE)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from gymnasium.spaces import Box
 from studio_pages import Show, array, draw, figures, in_buffer, map_of, on_one_buffer
-from studio_runs import PENDULUM_TOM, info, undescribed
+from studio_runs import info
 
 from app.data import buffer, replays
 from app.scenes import solids
@@ -22,7 +22,7 @@ from tom.record.task_record import scene_of, task_of
 from tom.training.presets import resolve
 from tom.training.run import train
 
-MUJOCO = ("Swimmer-v5", "Reacher-v5", "Pusher-v5")
+MUJOCO = ("Swimmer-v5", "Reacher-v5")
 PENDULUM = "Pendulum-v1"
 SMALL = {"steps": 320, "evaluation": {"every": 160, "episodes": 1}, "matmul": "default"}
 
@@ -104,16 +104,6 @@ def test_without_a_robot_there_are_curves_and_no_empty_scene(shown: Path, run_id
     assert len(moments) >= 3 * 10
     assert len(array(moments[0]["y"])) == 25
     assert "absent_module" not in sys.modules
-
-
-def test_a_run_whose_task_is_not_described_has_no_robot(own: Path):
-    undescribed(own / PENDULUM_TOM)
-    (said,) = draw("replays", run=PENDULUM_TOM).warning
-    assert "Lost" in said.value
-    assert "\n" not in said.value
-    regions = in_buffer(run=PENDULUM_TOM)
-    assert not regions.get("iframe")
-    assert map_of(regions)["columns"]
 
 
 def test_code_of_the_users_is_named_in_a_terminal_alone(shown: Path):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 from streamlit.testing.v1 import AppTest
-from studio_pages import TIMEOUT_S, Show, array, draw, figures, metrics, recorded, trace
-from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
+from studio_pages import Show, array, draw, figures, metrics, recorded, trace
+from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 from app.data import replays
 from app.data.replays import ROAD_DT, Replay
@@ -74,14 +74,6 @@ def with_states(
     )
 
 
-def test_a_run_without_a_model_has_no_ghost(store: Path, tmp_path: Path) -> None:
-    bare = shutil.copytree(store / PENDULUM_TOM, tmp_path / "bare")
-    shutil.rmtree(bare / "checkpoint")
-    replay = loaded(RunReader(bare), 400)
-    assert replay.ghost is None
-    assert "no dynamics model" in replay.no_ghost
-
-
 def test_another_model_of_the_same_step_imagines_another_ghost(store: Path, tmp_path: Path) -> None:
     own = shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
     run = RunReader(own)
@@ -95,16 +87,6 @@ def test_another_model_of_the_same_step_imagines_another_ghost(store: Path, tmp_
     assert after.ghost is not None
     assert not np.array_equal(before.ghost, after.ghost)
     assert np.array_equal(before.real, after.real)
-
-
-def test_another_run_of_the_same_name_is_replayed(store: Path, tmp_path: Path) -> None:
-    own = shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
-    before = loaded(RunReader(own), 400)
-    shutil.rmtree(own)
-    shutil.copytree(store / "pendulum-mle-0", own)
-    after = loaded(RunReader(own), 400)
-    assert (before.learner, after.learner) == ("tom", "mle")
-    assert not np.array_equal(before.episode.action, after.episode.action)
 
 
 def test_road_and_rocks_is_replayed_on_its_map(store: Path) -> None:
@@ -177,43 +159,6 @@ def asked_of_rerun(app: AppTest) -> str:
     [frame] = app.get("iframe")
     [address] = parse_qs(urlsplit(frame.proto.src).query)["url"]
     return urlsplit(urljoin(frame.proto.src, address)).path
-
-
-CLICK = """
-import streamlit as st
-from app.parts import address, scope
-from app.parts.plot import Point
-from app.views import replays
-from app.views.replays import episode
-
-address.visit("replays")
-st.button("click", on_click=episode._choose_episode, args=(Point(1, 0.0, 0, None),))
-replays.page(scope.draw())
-address.write()
-"""
-
-
-def shown_step(app: AppTest) -> int:
-    """The step of the evaluation that the chart of returns marks."""
-    return int(array(trace(figures(app)[0], name="the one shown")["x"])[0])
-
-
-def test_a_click_on_an_evaluation_without_episodes_opens_the_one_before() -> None:
-    app = AppTest.from_string(CLICK, default_timeout=TIMEOUT_S)
-    app.query_params["run"] = ROAD_TOM
-    assert shown_step(app.run()) == 60
-    app.button[0].click().run()
-    assert not app.exception
-    assert shown_step(app) == 0
-    assert app.query_params["step"] == "0"
-
-
-def test_the_step_lasts_when_another_run_is_chosen() -> None:
-    app = draw("replays", run=ROAD_TOM, step="30")
-    for run_id, step in ((ROAD_MLE, 30), (ROAD_TOM, 30)):
-        app.session_state["run"] = [run_id]
-        assert shown_step(app.run()) == step
-        assert app.query_params["run"] == run_id
 
 
 def test_a_frame_of_a_longer_episode_is_forgotten() -> None:

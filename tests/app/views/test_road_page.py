@@ -23,6 +23,11 @@ def test_the_weights_and_the_policy_lie_over_the_map(store: Path) -> None:
     heat = trace(figure, name="weights")
     weight = RunReader(store / ROAD_TOM).snapshot(60)["weight"].to_numpy()
     assert np.nanmax(array(heat["customdata"])) <= weight.max() + 1e-5
+    picture = road.picture(RunReader(store / ROAD_TOM), 60)
+    assert picture is not None
+    moves = trace(figure, name="modelled move")
+    (x, to_x), (y, to_y) = (array(moves[axis])[:2] for axis in "xy")
+    assert (to_x - x, to_y - y) == pytest.approx(picture.modelled[0], abs=1e-6)
     (shown,) = parts(app, "tom_readout")
     numbers = {number["label"]: number["values"] for number in shown["numbers"]}
     obs = np.asarray(RunReader(store / ROAD_TOM).buffer()[0].obs)

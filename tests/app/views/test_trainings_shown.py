@@ -4,9 +4,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,8 +13,6 @@ from studio_pages import TIMEOUT_S, Show, draw, recorded
 from studio_runs import (
     PENDULUM_TOM,
     ROAD_MLE,
-    WAITING,
-    altered,
     change,
     info,
     set_status,
@@ -25,11 +21,8 @@ from studio_runs import (
 )
 
 from app.data import trainings
-from app.data.trainings import Started
 from app.parts import start
 from app.parts.start import NAMED, figures, head, settings_line
-from tom.envs import ENVS, OTHERS, Task
-from tom.errors import UserError
 from tom.record import layout
 from tom.record.lock import acquire
 from tom.training.presets import resolve
@@ -56,26 +49,6 @@ def test_the_strip_has_what_trains_and_for_a_while_what_has_ended(own: Path) -> 
     assert shown(app) == [SECOND, PENDULUM_TOM]
     values = {metric.label: metric.value for metric in app.metric}  # those of the last card
     assert values["last return"] == f"{recorded(own, PENDULUM_TOM)[1][-1]:,.1f}"
-
-
-def test_of_many_trainings_that_have_ended_few_are_shown_and_no_small_copy(
-    store: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ended = info(store, PENDULUM_TOM)
-    recent = altered(ended, status=replace(ended.status, heartbeat=time.time()))
-    assert start.just_ended(recent)
-    assert not start.just_ended(altered(recent, small_copy=True))
-    monkeypatch.setattr(start, "MOST", 2)
-    assert len(shown(draw("answer"))) == 2
-
-
-def test_a_training_that_this_studio_cannot_stop_says_so(own: Path) -> None:
-    trains_elsewhere(own / SECOND)
-    app = draw("answer")
-    app.button(key=f"stop {SECOND} now").click().run()
-    assert not app.exception
-    assert any("another machine" in error.value for error in app.error)
-    assert info(own, SECOND).status.alive
 
 
 def test_a_training_that_was_asked_to_stop_is_not_asked_again(
@@ -169,46 +142,6 @@ def test_the_preset_is_the_learners_own_until_another_is_chosen() -> None:
     assert app.selectbox(key=learner).select("tom").run().selectbox(key=preset).value == "smoke"
     assert not app.warning
     assert not app.exception
-
-
-def test_the_form_offers_the_tasks_of_plugins_and_says_which_cannot_be_made(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def broken() -> Task:
-        raise UserError("task broken cannot be made")
-
-    monkeypatch.setitem(OTHERS, "swimmer", lambda: replace(ENVS["hopper"], name="swimmer"))
-    monkeypatch.setitem(OTHERS, "broken", broken)
-    app = form()
-    app.selectbox(key="start env").select("swimmer").run()
-    assert any("tom train --env swimmer " in code.value for code in app.code)
-    app.selectbox(key="start env").select("broken").run()
-    assert not app.exception
-    assert "task broken cannot be made" in [error.value for error in app.error]
-
-
-def test_trainings_that_have_ended_are_forgotten_and_those_that_run_are_not(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def ended(words: Sequence[str]) -> Started:
-        begun = stand_in(words, "")
-        begun.process.wait(TIMEOUT_S)
-        return begun
-
-    monkeypatch.setattr(trainings, "start", lambda words: stand_in(words, WAITING))
-    app = form()
-    app.button(key="start").click().run()
-    (first,) = start.started()
-    try:
-        monkeypatch.setattr(trainings, "start", ended)
-        app.text_input(key="start seeds").input(f"1-{start.FORGET + 2}").run()
-        app.button(key="start").click().run()
-        assert len(start.started()) == 1 + start.FORGET
-        assert not app.error
-    finally:
-        first.process.kill()
-        first.process.wait(TIMEOUT_S)
-    assert app.run().error
 
 
 @pytest.mark.parametrize(("host", "key"), [("0.0.0.0", "key"), ("::1", ""), ("::1", "another")])
