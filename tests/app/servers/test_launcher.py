@@ -124,7 +124,6 @@ def code_of(words: list[str]) -> object:
         ["--cinema", "a" * 300],
         ["--screenshots", "a" * 300],
         ["--store", "{file}"],
-        ["--prot", "1"],
         ["--theme", "pink"],
         ["--port", "x"],
         ["--base-path", "x"],
@@ -142,6 +141,10 @@ def test_what_cannot_be_is_one_line_that_names_it_and_code_2(
         assert code_of(["--store", str(tmp_path), "--no-browser", *given]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert given[1] in line
+
+
+def test_an_option_that_does_not_exist_is_code_2() -> None:
+    assert code_of(["--prot", "1"]) == 2
 
 
 @pytest.mark.parametrize("option", ["--cinema", "--screenshots"])
