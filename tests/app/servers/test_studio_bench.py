@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 
 from app.data import readers
-from app.servers import browser_bench, map_bench
+from app.servers import browser_bench
 from app.servers.bench import (
     KINDS,
     METRICS,
     POINTS,
     main,
+    make_run,
     make_store,
 )
 from tom.cli import bench
@@ -65,6 +66,6 @@ def test_memory_and_processor_seconds_are_those_of_all_processes_below() -> None
 @pytest.mark.browser
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium")
 def test_the_bench_of_the_map_measures_a_buffer(tmp_path: Path) -> None:
-    found = list(map_bench.measure(tmp_path, (400,)))
+    found = list(browser_bench.measure_map(tmp_path, {400: make_run(tmp_path, 400)}))
     assert len(found) == 5
     assert all(one.value > 0 and one.target is None for one in found)
