@@ -7,13 +7,14 @@ offers one; only when a browser has not kept it, it is made and sent.
 """
 
 import hashlib
-import pickle
-from collections.abc import Callable, Hashable
+import sys
+from collections.abc import Callable, Hashable, Mapping
 from functools import wraps
 from threading import Lock, RLock
 from typing import Any, Generic, ParamSpec, TypeVar
 from weakref import WeakValueDictionary
 
+import pandas as pd
 from cachetools import LRUCache
 from numpy.typing import NDArray
 
@@ -90,10 +91,27 @@ def cached(*parts: Part) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
 
 def bytes_of(value: object) -> int:
-    """The bytes of `value` and of all that lies in it, once each: those that a copy would need."""
-    arrays: list[pickle.PickleBuffer] = []  # these are not copied to be measured
-    rest = pickle.dumps(value, protocol=5, buffer_callback=arrays.append)
-    return len(rest) + sum(array.raw().nbytes for array in arrays)
+    """The approximate bytes of arrays, tables and tensors in `value`, at any depth."""
+    size, seen, waiting = 0, set[int](), [value]
+    while waiting:
+        one = waiting.pop()
+        if id(one) in seen:
+            continue
+        seen.add(id(one))
+        if isinstance(one, pd.DataFrame):
+            size += 8 * one.size  # of numbers; asking each column takes longer than reading some
+            continue
+        own = getattr(one, "nbytes", None)  # of arrays and tensors
+        size += own if isinstance(own, int) else sys.getsizeof(one, 0)
+        if isinstance(one, Mapping):
+            waiting += [*one.keys(), *one.values()]
+        elif isinstance(one, list | tuple | set | frozenset):
+            waiting += one
+        elif type(one).__module__.partition(".")[0] in ("tom", "app"):
+            waiting += getattr(one, "__dict__", {}).values()
+        elif hasattr(one, "parameters"):  # a torch.nn.Module; importing torch takes seconds
+            waiting += [*one.parameters(), *one.buffers()]  # pyright: ignore
+    return size
 
 
 ARRAYS = "api/arrays"

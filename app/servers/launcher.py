@@ -139,18 +139,18 @@ def serving(asked: Links, stopping: Event) -> Iterator[tuple[Links, Server | Non
     Raises UserError if it cannot listen where it should.
     """
     with tempfile.TemporaryDirectory(prefix="tom-studio-") as folder, ExitStack() as started:
-        attempts = 0
+        links, attempts = plan(asked, folder), 0
+        if not links.local_only:
+            print(OPEN, file=sys.stderr)
         while True:
-            links = plan(asked, folder)
             server = Server(links)
             started.callback(server.stop)
             up = server.wait_until_healthy(START_TIMEOUT_S, stopping.is_set)
             attempts += 1
-            # Another program may take the port, if only for a moment, after it was found free.
             if up or stopping.is_set() or not server.port_was_taken or attempts == ATTEMPTS:
                 break
-        if up and not links.local_only:
-            print(OPEN, file=sys.stderr)
+            # Another program took it, if only for a moment, after it was found free.
+            links = plan(asked, folder)
         if not up and not stopping.is_set():
             print(f"tom studio: it did not start:\n{server.tail()}", file=sys.stderr)
         yield links, server if up else None

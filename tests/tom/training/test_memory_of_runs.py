@@ -22,7 +22,7 @@ model.fit(small, torch.ones(1000), None, g)
 peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 before = peak()
 model.fit(buffer.transitions(), torch.ones(N), None, g)
-print((peak() - before) / (buffer._rows.numel() * 4))
+print((peak() - before) / (N * (2 * O + A + 3) * 4))
 """
 
 
