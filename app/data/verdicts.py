@@ -153,11 +153,11 @@ def _capacity(tables: Tables) -> Verdict:
 
 
 def _improvement(tables: Tables) -> Verdict:
-    difference = "difference, "
+    difference = "difference, weights"
     table = [row for row in tables["summary"] if row["what"].startswith(difference)]
     sides = [_side(row["p"] * len(table), 2 * row["better in trials"] > row["n"]) for row in table]
     for row in table:
-        row["what"] = row["what"].removeprefix(difference)
+        row["what"] = row["what"].replace(difference, LABELS.get(row["way"], row["way"]))
         row["share"] = row["better in trials"] / row["n"]
     trials = [f"{row['what']} in {row['better in trials']:.0f} of {row['n']:.0f}" for row in table]
     sentence = (

@@ -131,13 +131,13 @@ WATCH = """() => {
     const [profile] = plots.filter((p) => p.follows?.traces);
     const [heat] = plots.filter((p) => p.follows?.cursor);
     const line = heat.parentElement.querySelector(".plot-cursor");
-    const { xaxis } = heat._fullLayout;
+    const xaxis = heat._fullLayout?.xaxis; // not yet, where the chart is still to be drawn
     const place = line.getBoundingClientRect().left - heat.getBoundingClientRect().left;
     seen.push({
       step: detail, fit: document.querySelector(".readout dd").textContent,
-      profile: [...profile.data[0].y], address: location.search,
+      profile: [...(profile.data?.[0].y ?? [])], address: location.search,
       // in steps, back from where the line is seen
-      cursor: xaxis.p2d(place - xaxis._offset), pixel: xaxis.p2d(2) - xaxis.p2d(0),
+      cursor: xaxis?.p2d(place - xaxis._offset), pixel: xaxis && xaxis.p2d(2) - xaxis.p2d(0),
     });
   });
 }"""
