@@ -37,9 +37,11 @@ def run_script(text: str, folder: Path, *words: str) -> None:
 
 
 def ended(folder: Path, name: str) -> Run:
-    """The run, when its live weighings have ended."""
+    """The run, when its live weighings, one of TOM among them, have begun and ended."""
     begun, run = time.monotonic(), RunReader(folder / "runs" / name)
-    while any(live.status.state in ("running", "unknown") for live in run.live().values()):
+    while "tom" not in run.live() or any(
+        live.status.state in ("running", "unknown") for live in run.live().values()
+    ):
         assert time.monotonic() - begun < PATIENCE_S
         time.sleep(0.1)
     found = tom.load(name, store=folder / "runs")
