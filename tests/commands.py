@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from multiprocessing import get_context
 from pathlib import Path
 from subprocess import CompletedProcess
@@ -12,13 +12,29 @@ import pytest
 
 from tom.cli import main
 
+QUICK = [
+    "--preset", "paper", "--tom.q-hidden", "16", "--tom.q-steps", "20", "--footprint", "100",
+    "--tom.discriminator-hidden", "16", "--tom.discriminator-steps", "20",
+]  # fmt: skip
+"""options of a weighing that takes a second"""
+OWN_TASK = """
+import gymnasium as gym
+from gymnasium.envs.classic_control import PendulumEnv
+
+gym.register("Own-v0", PendulumEnv, max_episode_steps=60)
+
+
+def fallen(obs):
+    return obs[:, 0] < -0.9
+"""
+"""a module of a user's own: a task and its rule of ends"""
 PRELOADED = ["tom.training.run", "tom.analysis.weighing", "tom.reports.html"]
 
 
-def code_of(words: Sequence[str]) -> int:
-    """The exit code of `tom` with these words, also if its parser ends it."""
+def code_of(words: Sequence[str], command: Callable[[list[str]], int] = main) -> int:
+    """The exit code of `tom`, or another command, with these words, also if its parser ends it."""
     try:
-        return main(words)
+        return command([*words])
     except SystemExit as stop:
         return int(str(stop.code))
 
@@ -45,6 +61,23 @@ def tom_process(words: Sequence[str], folder: Path) -> CompletedProcess[str]:
         child.join()
         assert child.exitcode is not None
         return CompletedProcess(words, child.exitcode, *(file.read_text() for file in files))
+
+
+def works(words: str, folder: Path) -> str:
+    """What `tom` with these words prints, which ends well in a process of its own."""
+    done = tom_process(words.split(), folder)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def fails(words: str, folder: Path, named: str, code: int = 2) -> None:
+    """`tom` ends with this code in a process of its own, and the last line has `named` in it."""
+    done = tom_process(words.split(), folder)
+    assert done.returncode == code, done
+    said = done.stderr.strip()
+    assert code != 2 or "\n" not in said, said
+    assert "Traceback" not in said, said
+    assert named in said.splitlines()[-1]
 
 
 def _command(words: list[str], folder: Path, files: list[Path]) -> None:

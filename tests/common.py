@@ -1,21 +1,27 @@
 """What tests of several rooms do: draws, trainings and their stop, states, one-line errors."""
 
-from collections.abc import Callable, Iterator
+import json
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
-from typing import Any
+from itertools import chain
+from pathlib import Path
+from typing import Any, TypeVar
 
 import pytest
 import torch
 
-from tom.config import OnlineConfig
+from tom.config import OnlineConfig, RunConfig
 from tom.errors import UserError
 from tom.events import Event, Metrics, Tick
-from tom.record import Store
+from tom.record import RunReader, Store
+from tom.record.files import replace_json
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
 from tom.training.presets import resolve
 from tom.training.run import Stop
+
+T = TypeVar("T")
 
 
 def generator(seed: int = 0) -> torch.Generator:
@@ -43,10 +49,30 @@ def measured(
 ) -> None:
     """Record a run with these metrics at these steps."""
     config = resolve(env, learner, preset, {"seed": seed, **changes})
-    with Recorder(RunWriter.create(store, run_id, config)) as recorder:
-        for step, values in steps:
-            recorder.consume(Metrics(step, values))
-            recorder.consume(Tick(step, "evaluate"))
+    told = ((Metrics(step, values), Tick(step, "evaluate")) for step, values in steps)
+    recorded(store, run_id, config, chain.from_iterable(told))
+
+
+def recorded(
+    store: Store,
+    run_id: str,
+    config: RunConfig,
+    events: Iterable[Event],
+    *sinks: Any,
+    state: Any = "finished",
+) -> RunReader:
+    """Record these events as a run that ends in this state, and read it back."""
+    writer = RunWriter.create(store, run_id, config, command="tom train")
+    with Recorder(writer, *sinks) as recorder:
+        for event in events:
+            recorder.consume(event)
+        recorder.finish(state)
+    return store.run(run_id)
+
+
+def change(file: Path, **values: object) -> None:
+    """Give keys of a run's JSON file other values."""
+    replace_json(file, json.loads(file.read_text()) | values, sync=False)
 
 
 def stopping_at(step: int) -> tuple[Stop, tuple[Callable[[Event], None]]]:
@@ -58,6 +84,12 @@ def stopping_at(step: int) -> tuple[Stop, tuple[Callable[[Event], None]]]:
             stop()
 
     return stop, (watch,)
+
+
+def present(found: T | None) -> T:
+    """What was looked for, which is there."""
+    assert found is not None
+    return found
 
 
 def reloaded(state: Any) -> Any:

@@ -1,5 +1,7 @@
 """Two run folders with the same record, to the last bit."""
 
+import json
+
 import numpy as np
 import pandas as pd
 
@@ -10,6 +12,12 @@ def untimed(run: RunReader) -> pd.DataFrame:
     """The metrics without those of the clock."""
     table = run.metrics()
     return table.drop(columns=[name for name in table if name.startswith("time/")])
+
+
+def last_row(run: RunReader) -> dict[str, float]:
+    """The last line of the metrics, without those of the clock."""
+    line = (run.path / "metrics.jsonl").read_text().splitlines()[-1]
+    return {k: v for k, v in json.loads(line).items() if not k.startswith("time/")}
 
 
 def assert_same_record(first: RunReader, second: RunReader) -> None:

@@ -1,6 +1,5 @@
 """The recorded runs that the studio's tests look at (conftest.py records them)."""
 
-import json
 import os
 import shutil
 import sys
@@ -10,11 +9,12 @@ from copy import copy
 from pathlib import Path
 from tempfile import TemporaryFile
 
+from common import change
+
 from app.data import readers
 from app.data.trainings import Started
 from tom.machine import processes
 from tom.record import layout
-from tom.record.files import replace_json
 from tom.record.reader import RunReader
 
 ROAD_TOM = "road-tom"
@@ -32,11 +32,6 @@ RUNS = (
 def info(store: Path, run_id: str) -> RunReader:
     """What the pages know of a run."""
     return next(run for run in readers.listing(str(store)).runs if run.run_id == run_id)
-
-
-def change(file: Path, **values: object) -> None:
-    """Give keys of a run's JSON file other values."""
-    replace_json(file, json.loads(file.read_text()) | values, sync=False)
 
 
 def altered(run: RunReader, **facts: object) -> RunReader:

@@ -8,7 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from commands import tom_process
+from commands import fails, works
+from same_records import last_row
+
+from tom.record import RunReader
 
 ROOT = Path(__file__).parents[2]
 TRAIN = "train --preset smoke --steps 320 --no-rerun --store runs"
@@ -75,34 +78,8 @@ def python(script: str, home: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def tom(words: str, home: Path) -> tuple[int, str]:
-    """The exit code, and what was said."""
-    done = tom_process(words.split(), home)
-    return done.returncode, (done.stderr if done.returncode else done.stdout).strip()
-
-
-def works(words: str, home: Path) -> str:
-    code, said = tom(words, home)
-    assert code == 0, said
-    return said
-
-
-def refused(words: str, home: Path) -> str:
-    code, said = tom(words, home)
-    assert code == 2, said
-    assert len(said.splitlines()) == 1, said
-    return said
-
-
 def config(home: Path, run_id: str) -> dict:
     return json.loads((home / "runs" / run_id / "config.json").read_text())
-
-
-def rows(home: Path, run_id: str) -> list[dict]:
-    found = (home / "runs" / run_id / "metrics.jsonl").read_text().splitlines()
-    return [
-        {k: v for k, v in json.loads(row).items() if not k.startswith("time/")} for row in found
-    ]
 
 
 def test_plugins_work_as_the_page_says(home: Path):
@@ -117,14 +94,14 @@ def test_plugins_work_as_the_page_says(home: Path):
 
     python(PAGE, home)
 
-    said = refused("train --resume other --steps 340 --store runs", home)
-    assert "--plugin surprise.py" in said
-    said = refused("train --resume other --steps 340 --store runs --plugin surprise.py", home)
-    assert "--plugin tasks.py" in said
+    again = "train --resume other --steps 340 --store runs"
+    fails(again, home, "--plugin surprise.py")
+    fails(f"{again} --plugin surprise.py", home, "--plugin tasks.py")
     works(f"train --resume other --steps 400 --no-rerun --store runs {PLUGINS}", home)
     longer = TRAIN.replace("320", "400")
     works(f"{longer} {surprise} --run-id whole {PLUGINS}", home)
-    assert rows(home, "other")[-1] == rows(home, "whole")[-1]
+    other, whole = (RunReader(home / "runs" / name) for name in ("other", "whole"))
+    assert last_row(other) == last_row(whole)
 
     weighing = "--learner surprise mle --seeds 0 --footprint 100 --surprise.steps 20 --json"
     said = works(f"weigh other --policy other --store runs {weighing} {PLUGINS}", home)
@@ -145,12 +122,10 @@ def test_the_studies_know_plugins_tasks_and_learners(home: Path):
     assert json.loads(said)["missing"] == []  # of the paper's figure, which has no such learner
     said = works(f"reproduce returns {asked} --out returns".replace("--json", ""), home)
     assert "nan" not in said
-    said = refused("reproduce returns --learner surprise --store runs", home)
-    assert "unknown learner 'surprise'" in said
+    fails("reproduce returns --learner surprise --store runs", home, "unknown learner 'surprise'")
 
     quick = "--moments 1 --rows 100 --ways uniform recency --store runs"
-    said = refused(f"reproduce footprint mine {quick}", home)
-    assert "unknown environment 'swimmer'" in said
+    fails(f"reproduce footprint mine {quick}", home, "unknown environment 'swimmer'")
     works(f"reproduce footprint mine {quick} {PLUGINS} --out study", home)
     kept = sorted((home / "study/cases").iterdir())
     with (home / "tasks.py").open("a") as file:
@@ -205,6 +180,5 @@ def test_an_installed_package_is_loaded_and_a_broken_one_left_out(home: Path):
 def test_a_plugin_that_cannot_be_used_is_one_line(home: Path, content: str | None, named: str):
     if content is not None:
         (home / "own.py").write_text(content)
-    said = refused("train --env odd --learner mle --plugin own.py", home)
-    assert named in said
+    fails("train --env odd --learner mle --plugin own.py", home, named)
     assert not (home / "runs").exists()

@@ -1,11 +1,9 @@
 """Runs that are taken up with other versions, other settings, or another learner."""
 
-import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
+from common import change
 from faults import config, stopped
 from same_records import assert_same_record
 
@@ -26,11 +24,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def change(run: Path, changed: Callable[[dict[str, Any]], object]) -> None:
-    """Edit the run's config.json."""
-    content = json.loads((run / "config.json").read_text())
-    changed(content)
-    (run / "config.json").write_text(json.dumps(content))
+def made_with(run: RunReader, package: str, other: str) -> None:
+    """Another version of a package stands in the run's config.json."""
+    change(run.path / "config.json", versions=run.config["versions"] | {package: other})
 
 
 @pytest.mark.quick
@@ -41,7 +37,7 @@ def change(run: Path, changed: Callable[[dict[str, Any]], object]) -> None:
 def test_another_version_of_what_decides_the_results__is_refused_until_it_is_accepted(
     store: Store, package: str, version: str, capsys: pytest.CaptureFixture[str]
 ):
-    change(store.path / "a", lambda content: content["versions"].update({package: version}))
+    made_with(store.run("a"), package, version)
     before = {path: path.read_bytes() for path in store.path.rglob("*") if path.is_file()}
     words = ["train", "--resume", "a", "--no-rerun", "--store", str(store.path)]
     assert main(words) == 2
@@ -60,11 +56,8 @@ def test_another_version_of_what_decides_the_results__is_refused_until_it_is_acc
 
 @pytest.mark.parametrize("package", ["python", "numpy", "tom-studio"])
 def test_another_version_of_what_should_not_matter__is_a_warning(store: Store, package: str):
-    def patched(content: dict[str, Any]) -> None:
-        major, minor, *_ = content["versions"][package].split(".")
-        content["versions"][package] = f"{major}.{minor}.99"
-
-    change(store.path / "a", patched)
+    major, minor, *_ = store.run("a").config["versions"][package].split(".")
+    made_with(store.run("a"), package, f"{major}.{minor}.99")
     done = resume(store, "a", rerun=False)
     assert any(f"until here: {package}" in text for text in done.status.warnings)
     assert_same_record(store.run("whole"), done)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from loops import loaded
 
 import tom
 from tom.cli import main
@@ -24,9 +25,7 @@ QUICK = {"tom": {"q_steps": 20, "discriminator_steps": 20, "q_hidden": 16}}
 
 @pytest.fixture(scope="module")
 def run() -> Run:
-    found = tom.load(RUN, store=GALLERY)
-    assert isinstance(found, Run)
-    return found
+    return loaded(GALLERY, RUN)
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +34,13 @@ def weighing() -> Weighing:
         RUN, RUN, seeds=[0, 3], footprint=100, learners=["pmac", "tom"], settings=QUICK,
         store=GALLERY,
     )  # fmt: skip
+
+
+def weighed(path: Path) -> Weighing:
+    """A stored weighing."""
+    found = tom.load(path)
+    assert isinstance(found, Weighing)
+    return found
 
 
 def test_a_run_is_what_its_folder_holds(run: Run):
@@ -94,8 +100,7 @@ def test_the_rows_of_a_fit_stand_in_one_table(run: Run, tmp_path: Path, capsys):
 def test_weights_of_others_for_the_same_rows_stand_beside(weighing: Weighing, tmp_path: Path):
     shutil.copytree(GALLERY / RUN, tmp_path / RUN)
     weighing.save(tmp_path / "weighings" / "of-more-rows")
-    run = tom.load(RUN, store=tmp_path)
-    assert isinstance(run, Run)
+    run = loaded(tmp_path, RUN)
     last = run.reader.snapshot_steps()[-1]
     same = tom.weigh(
         RUN, RUN, step=last, seeds=[2], footprint=100, learners=["pmac"], store=tmp_path
@@ -118,8 +123,7 @@ def test_a_weighing_is_kept_as_tom_weigh_keeps_it(weighing: Weighing, tmp_path: 
     }  # fmt: skip
     assert weighing.profiles["tom-s3"].tolist() == pytest.approx(profiles["tom"][1])
     out = weighing.save(tmp_path / "weighings" / "mine")
-    again = tom.load(out)
-    assert isinstance(again, Weighing)
+    again = weighed(out)
     pd.testing.assert_frame_equal(again.weights, weighing.weights)
     assert again.policy_distance == pytest.approx(weighing.policy_distance)
     assert again.table["ess"].tolist() == pytest.approx(weighing.table["ess"])
@@ -138,8 +142,7 @@ def test_a_weighing_is_kept_as_tom_weigh_keeps_it(weighing: Weighing, tmp_path: 
 def test_the_rows_of_a_weighing_come_from_its_run(weighing: Weighing, run: Run):
     pd.testing.assert_frame_equal(weighing.transitions, run.transitions)
     stored = sorted((GALLERY / "weighings").glob("hopper-tom-*"))[0]
-    found = tom.load(stored)
-    assert isinstance(found, Weighing)
+    found = weighed(stored)
     assert len(found.transitions) == len(found.weights) == found.report["rows"]
     assert found.random_share == found.report["ordered_from"] / found.report["rows"]
 
@@ -159,8 +162,7 @@ def test_the_rows_of_own_data_are_those_of_its_file_with_every_learners_weight(t
     assert main([*command, "--rows", "90"]) == 2
     assert main([*command, "--rows"]) == 0
     rows = pd.read_parquet(tmp_path / "own-rows.parquet")
-    made = tom.load(out)
-    assert isinstance(made, Weighing)
+    made = weighed(out)
     pd.testing.assert_frame_equal(rows, made.rows())
     unit = file["next_obs"] / [1, 1, 8]  # agents see the task's bounds as -1 and 1
     np.testing.assert_allclose(rows.filter(regex="^next_obs_"), unit, rtol=1e-6)
@@ -188,8 +190,7 @@ def test_rows_that_a_weighing_keeps_are_all_of_them_at_a_step_too(tmp_path: Path
     where = ["--store", str(GALLERY), "--out", str(out)]
     by = ["--policy", "random", "--seeds", "0", "--footprint", "50"]
     assert main(["weigh", RUN, *of, *by, *where]) == 0
-    found = tom.load(out)
-    assert isinstance(found, Weighing)
+    found = weighed(out)
     assert (found.report["step"], found.report["rows"]) == (STEP, 2 * STEP)
     run = RunReader(GALLERY / RUN).buffer()[0]
     assert len(found.transitions) == 2 * STEP

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studio_runs import PENDULUM_TOM, info
+from studio_runs import PENDULUM_TOM, info, set_status
 
 from app.data import buffer, cache, readers
 from tom.analysis.curves import curve_points
@@ -42,9 +42,7 @@ def test_tables_are_the_readers(store: Path) -> None:
 
 
 def test_a_new_status_is_seen(own: Path) -> None:
-    path = own / PENDULUM_TOM / "status.json"
-    status = json.loads(path.read_text())
-    path.write_text(json.dumps(status | {"state": "running", "heartbeat": time.time()}))
+    set_status(own / PENDULUM_TOM, state="running", heartbeat=time.time())
     writer = lock.acquire(own / PENDULUM_TOM)
     assert info(own, PENDULUM_TOM).status.alive
     writer.close()
@@ -52,7 +50,7 @@ def test_a_new_status_is_seen(own: Path) -> None:
     assert (run.status.shown, "ended" in run.status.reason) == ("dead", True)
     (own / PENDULUM_TOM / ".writer").unlink()  # as on another machine: its beat decides
     assert info(own, PENDULUM_TOM).status.alive
-    path.write_text(json.dumps(status | {"state": "running", "heartbeat": time.time() - 31}))
+    set_status(own / PENDULUM_TOM, heartbeat=time.time() - 31)
     assert info(own, PENDULUM_TOM).status.shown == "dead"
 
 

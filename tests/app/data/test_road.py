@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from common import present
 from studio_runs import ROAD_TOM
 
 from app.data import road
@@ -59,8 +60,7 @@ def test_cells_hold_the_mean_of_their_transitions() -> None:
 
 def test_a_picture_says_what_the_run_recorded(store: Path) -> None:
     run = RunReader(store / ROAD_TOM)
-    picture = road.picture(run, road.steps(run)[-1])
-    assert picture is not None
+    picture = present(road.picture(run, road.steps(run)[-1]))
     obs = np.asarray(run.buffer()[0].obs)
     weight = run.snapshot(picture.step)["weight"].to_numpy()
     assert np.array_equal(picture.grid, weight_grid(obs, weight), equal_nan=True)
@@ -79,14 +79,12 @@ def test_a_picture_that_was_read_while_its_fit_was_written_is_read_again(
     fields = {name: run.field(name, step) for name in ("model", "trajectories")}
     for name in fields:
         (run.path / layout.field(name, step)).unlink()
-    early = road.picture(run, step)
-    assert early is not None
+    early = present(road.picture(run, step))
     assert np.array_equal(early.modelled, run.field("model", before)["modelled"])
     for name, arrays in fields.items():
         moved = {key: array + 1 for key, array in arrays.items()}
         np.savez(run.path / layout.field(name, step), allow_pickle=False, **moved)
         road.picture(run, step)
-    late = road.picture(run, step)
-    assert late is not None
+    late = present(road.picture(run, step))
     assert np.array_equal(late.modelled, fields["model"]["modelled"] + 1)
     assert np.array_equal(late.learnt[0], fields["trajectories"]["learnt_0"] + 1)

@@ -7,9 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from common import change
 from streamlit.testing.v1 import AppTest
 from studio_pages import draw
-from studio_runs import PENDULUM_TOM, altered, change, info, trains_elsewhere
+from studio_runs import PENDULUM_TOM, altered, info, trains_elsewhere
 
 from app.data import readers
 from app.parts import scope

@@ -15,6 +15,7 @@ import pytest
 import viser
 import viser.transforms
 import zstandard
+from common import present
 from kernel import wait_for
 from studio_pages import answers
 from studio_runs import ROAD_MLE, ROAD_TOM
@@ -37,9 +38,7 @@ from tom.record.reader import RunReader
 
 @pytest.fixture(scope="module")
 def picture(store: Path) -> road.Picture:
-    found = road.picture(RunReader(store / ROAD_TOM), 60)
-    assert found is not None
-    return found
+    return present(road.picture(RunReader(store / ROAD_TOM), 60))
 
 
 def test_a_cell_with_weight_is_a_column(picture: road.Picture) -> None:
@@ -87,8 +86,7 @@ def test_a_fit_takes_the_place_of_another(
 ) -> None:
     drawn = RoadScene(server.scene, picture, "light", 0, "TOM")
     before = drawn.layers["columns"][0]
-    other = road.picture(RunReader(store / ROAD_MLE), 60)
-    assert other is not None
+    other = present(road.picture(RunReader(store / ROAD_MLE), 60))
     drawn.update(other)
     assert drawn.layers["columns"][0] is not before
     assert set(drawn.layers) == {name for name, _, _ in LAYERS}
@@ -99,11 +97,9 @@ def test_a_fit_takes_the_place_of_another(
 
 
 def test_the_export_is_one_page_with_every_fit(picture: road.Picture, store: Path) -> None:
-    other = road.picture(RunReader(store / ROAD_MLE), 60)
-    assert other is not None
+    other = present(road.picture(RunReader(store / ROAD_MLE), 60))
     page = as_html([[picture, other], [picture, other]], "dark", ["TOM", "MLE"])
-    data = re.search(r'__VISER_EMBED_DATA__="([^"]+)"', page)
-    assert data is not None
+    data = present(re.search(r'__VISER_EMBED_DATA__="([^"]+)"', page))
     packed_scene = base64.b64decode(data[1])
     size = int.from_bytes(packed_scene[:8], "little")
     inner = zstandard.ZstdDecompressor().decompress(packed_scene[8:], max_output_size=size)

@@ -76,10 +76,7 @@ def colourful(element: "Locator", top: float = 1.0) -> float:
 def wait_until_drawn(element: "Locator", share: float, top: float = 1.0) -> None:
     """Wait until so large a share of the pixels of the element's top part is coloured."""
     element.scroll_into_view_if_needed()
-    deadline = time.monotonic() + DRAWN_S
-    while colourful(element, top) < share:
-        assert time.monotonic() < deadline, f"nothing drawn: {colourful(element, top):.4f}"
-        element.page.wait_for_timeout(500)
+    until(element.page, lambda: colourful(element, top) >= share, "nothing drawn")
 
 
 def wait_until_steady(page: "Page", true: Callable[[], bool], seconds: float) -> None:

@@ -1,6 +1,5 @@
 """The studio in a real browser: its frames really draw, nothing fails, nothing goes outside."""
 
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
@@ -8,8 +7,8 @@ from urllib.parse import quote
 import numpy as np
 import pandas as pd
 import pytest
+from common import present
 from studio_browser import (
-    DRAWN_S,
     LOCAL,
     NEEDS_BROWSER,
     Visit,
@@ -76,8 +75,7 @@ def click_the_end_of_a_curve(page: "Page") -> None:
         const {xaxis, yaxis} = plot._fullLayout, point = trace.at(-1);
         return [xaxis.l2p(point.x), yaxis.l2p(point.y)];
     }"""
-    frame = chart.locator(".nsewdrag").first.bounding_box()
-    assert frame is not None
+    frame = present(chart.locator(".nsewdrag").first.bounding_box())
     x, y = chart.evaluate(place)
     page.mouse.click(frame["x"] + x, frame["y"] + y)
     page.wait_for_url("**/curves?*run=*pendulum-tom-*")
@@ -86,8 +84,7 @@ def click_the_end_of_a_curve(page: "Page") -> None:
 def click_the_first_fit(page: "Page", store: Path) -> None:
     chart = page.locator(".js-plotly-plot").first
     chart.locator(".hm").wait_for()
-    frame = chart.locator(".nsewdrag").first.bounding_box()
-    assert frame is not None
+    frame = present(chart.locator(".nsewdrag").first.bounding_box())
     page.mouse.click(frame["x"] + 0.02 * frame["width"], frame["y"] + 0.5 * frame["height"])
     page.wait_for_url("**/attention?*step=*")
     chosen, run = int(asked(page)["step"][0]), asked(page)["run"][0]
@@ -109,10 +106,7 @@ def play_an_episode(page: "Page") -> None:
     chart.locator(".nsewdrag").first.wait_for()
     before = chart.evaluate(cursor)
     page.locator(".st-key-replay-play button").click()
-    deadline = time.monotonic() + DRAWN_S
-    while chart.evaluate(cursor) == before:
-        assert time.monotonic() < deadline, f"the replay stands at {before}"
-        page.wait_for_timeout(200)
+    until(page, lambda: chart.evaluate(cursor) != before, f"the replay stands at {before}")
 
 
 def see_it_in_rerun(page: "Page") -> None:
@@ -278,8 +272,7 @@ def test_a_brush_a_lasso_and_back(visit: Visit, store: Path) -> None:
     page = opened(visit)
     canvas = page.locator(".map-hist[data-name='pole angle'] canvas")
     canvas.scroll_into_view_if_needed()
-    box = canvas.bounding_box()
-    assert box is not None
+    box = present(canvas.bounding_box())
     y = box["y"] + box["height"] / 2
     page.mouse.move(box["x"] + 0.3 * box["width"], y)
     page.mouse.down()
@@ -294,8 +287,7 @@ def test_a_brush_a_lasso_and_back(visit: Visit, store: Path) -> None:
 
     until(page, agree, "browser and server choose other rows")
     brushed = page.evaluate(CHOSEN)
-    map_box = page.locator(".map-over").bounding_box()
-    assert map_box is not None
+    map_box = present(page.locator(".map-over").bounding_box())
     for i, (a, b) in enumerate([(0.3, 0.2), (0.8, 0.3), (0.6, 0.9), (0.2, 0.6)]):
         page.mouse.move(
             map_box["x"] + a * map_box["width"], map_box["y"] + b * map_box["height"], steps=4

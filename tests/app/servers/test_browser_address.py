@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from common import change, present
 from studio_browser import (
-    DRAWN_S,
     LOCAL,
     NEEDS_BROWSER,
     Visit,
@@ -71,8 +71,7 @@ def test_what_is_hidden_and_zoomed_is_in_the_address_and_back_goes_back(visit: V
     same_steps(page, zoomed)
     page.get_by_role("button", name="Show all").click()
     until(page, lambda: lines(page) == {"MLE", "TOM"}, "MLE is not shown again")
-    box = drawn(page).locator(".nsewdrag").first.bounding_box()
-    assert box is not None
+    box = present(drawn(page).locator(".nsewdrag").first.bounding_box())
     page.mouse.dblclick(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
     page.wait_for_url(lambda address: "zoom=" not in address)
     assert shown_steps(drawn(page)) == pytest.approx(all_steps)
@@ -125,7 +124,7 @@ def test_back_takes_back_a_step_and_a_run_and_no_correction(visit: Visit) -> Non
 
 def test_hostile_words_are_plain_words_in_the_list_of_runs(visit_own: Visit, own: Path) -> None:
     visit, path = visit_own, own / PENDULUM_TOM / "config.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"learner": HOSTILE}))
+    change(path, learner=HOSTILE)
     page = visit.page
     page.goto(visit.links.opened(START))
     title = page.locator(".runlist .head .name").get_by_text(HOSTILE)
@@ -145,7 +144,7 @@ def test_a_chart_follows_its_page_whatever_its_groups_are_called(
     own: Path,
 ) -> None:
     visit, path = visit_own, own / PENDULUM_TOM / "config.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"preset": "8.5, #a [b] > 'c' :d"}))
+    change(path, preset="8.5, #a [b] > 'c' :d")
     page = visit.page
     page.goto(visit.links.opened("curves?task=inverted-pendulum"))
     chart = drawn(page)
@@ -189,11 +188,8 @@ def test_a_curve_follows_its_run_and_keeps_what_the_reader_has_zoomed_to(
     zoomed = zoom_in(curve)
     trains_elsewhere(run)
     record_another_return(run, 5000)
-    deadline = time.monotonic() + DRAWN_S
-    # While Plotly draws anew there is no data for a moment.
-    while curve.evaluate("plot => plot.calcdata?.at(-1)?.at(-1).x") != 5000:
-        assert time.monotonic() < deadline, "the curve does not follow its run"
-        page.wait_for_timeout(200)
+    end = "plot => plot.calcdata?.at(-1)?.at(-1).x"  # there is no data while Plotly draws anew
+    until(page, lambda: curve.evaluate(end) == 5000, "the curve does not follow its run")
     assert shown_steps(curve) == pytest.approx(zoomed, rel=1e-4)
 
 

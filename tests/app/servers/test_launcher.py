@@ -13,6 +13,7 @@ from pathlib import Path
 from threading import Event
 
 import pytest
+from commands import code_of
 from kernel import LOOPBACK, alive, descendants, listening, wait_for
 from studio_runs import PENDULUM_TOM, ROAD_TOM
 
@@ -104,14 +105,6 @@ def test_a_server_that_cannot_start_is_launched_once_and_says_why(
     assert launches.read_text() == "x"
 
 
-def code_of(words: list[str]) -> object:
-    """The exit code of the studio with these words, also if its parser ends it."""
-    try:
-        return main(words)
-    except SystemExit as stopped:
-        return stopped.code
-
-
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -138,13 +131,13 @@ def test_what_cannot_be_is_one_line_that_names_it_and_code_2(
         taken.listen()
         values = {"taken": taken.getsockname()[1], "file": tmp_path / "file"}
         given = [part.format(**values) for part in arguments]
-        assert code_of(["--store", str(tmp_path), "--no-browser", *given]) == 2
+        assert code_of(["--store", str(tmp_path), "--no-browser", *given], main) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert given[1] in line
 
 
 def test_an_option_that_does_not_exist_is_code_2() -> None:
-    assert code_of(["--prot", "1"]) == 2
+    assert code_of(["--prot", "1"], main) == 2
 
 
 @pytest.mark.parametrize("option", ["--cinema", "--screenshots"])

@@ -7,11 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from common import change
 from streamlit.proto.ForwardMsg_pb2 import ForwardMsg
 from streamlit.runtime.scriptrunner_utils.script_run_context import ScriptRunContext
 from streamlit.testing.v1 import AppTest
 from studio_pages import TIMEOUT_S, Show, draw, figures
-from studio_runs import PENDULUM_TOM, ROAD_TOM, change
+from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 from app.__main__ import _readable
 from app.data import readers

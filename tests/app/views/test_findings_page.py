@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from common import change, present
 from PIL import Image
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Route
 from studio_pages import Show, draw, figures
-from studio_runs import PENDULUM_TOM, change
+from studio_runs import PENDULUM_TOM
 
 from app.data import readers, studies
 from app.data.verdicts import every_ways, verdict
@@ -99,8 +100,7 @@ def test_all_ways_are_drawn_once_both_studies_are_there(
     shutil.copytree(GALLERY / "capacity", tmp_path / "reports" / "capacity")
     app = draw("findings")
     assert len(app.header) == 3
-    found = every_ways(studies.listing(studies.FOLDER)).get("")
-    assert found is not None
+    found = present(every_ways(studies.listing(studies.FOLDER)).get(""))
     ways = [one for panel in found.panels for one in panel.ways]
     drawn = figures(app)[0]["data"]
     assert [(*trace["x"], *trace["y"]) for trace in drawn] == [

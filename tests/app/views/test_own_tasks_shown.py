@@ -1,6 +1,5 @@
 """Runs in tasks that are not ours on the pages: robots from their own geometry, else curves."""
 
-import json
 import shutil
 import sys
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from common import change, present
 from gymnasium.spaces import Box
 from studio_pages import Show, array, draw, figures, in_buffer, map_of, on_one_buffer
 from studio_runs import info
@@ -36,11 +36,8 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
         train(config, Store(path), gym_id)
     for gym_id in ("Swimmer-v5", PENDULUM):
         shutil.copytree(path / gym_id, path / f"absent-{gym_id}")
-        file = path / f"absent-{gym_id}" / layout.CONFIG
-        content = json.loads(file.read_text())
-        absent = f"absent_module:{gym_id}"
-        content["env"] = content["config"]["env"] = absent
-        file.write_text(json.dumps(content))
+        run, absent = RunReader(path / f"absent-{gym_id}"), f"absent_module:{gym_id}"
+        change(run.path / layout.CONFIG, env=absent, config=run.config["config"] | {"env": absent})
     return path
 
 
@@ -53,8 +50,7 @@ def shown(trained: Path, show: Show) -> Path:
 @pytest.mark.parametrize("run_id", [*MUJOCO, "absent-Swimmer-v5"])
 def test_a_robot_is_drawn_from_the_run_folder_alone(shown: Path, run_id: str):
     run = RunReader(shown / run_id)
-    replay = replays.load(run, 320, 0, 10)
-    assert replay is not None
+    replay = present(replays.load(run, 320, 0, 10))
     assert replay.drawn
     assert replay.imagined is not None
     assert (replay.ghost is not None) == run_id.endswith("Swimmer-v5")
@@ -64,8 +60,7 @@ def test_a_robot_is_drawn_from_the_run_folder_alone(shown: Path, run_id: str):
     app = draw("replays", run=run_id)
     assert not any("observations of the episode" in str(part) for part in app.main)
     assert "absent_module" not in sys.modules
-    recorded = viewers.episode(str(shown), run_id, 320, 0, 10)
-    assert recorded is not None
+    recorded = present(viewers.episode(str(shown), run_id, 320, 0, 10))
     assert len(recorded) > 1000
     assert (shown / run_id / "run.rrd").stat().st_size > 1000
 
@@ -89,8 +84,7 @@ def test_robots_stand_in_the_states_of_a_buffer(shown: Path, run_id: str):
 @pytest.mark.parametrize("run_id", [PENDULUM, f"absent-{PENDULUM}"])
 def test_without_a_robot_there_are_curves_and_no_empty_scene(shown: Path, run_id: str):
     run = RunReader(shown / run_id)
-    replay = replays.load(run, 320, 0, 10)
-    assert replay is not None
+    replay = present(replays.load(run, 320, 0, 10))
     assert not replay.drawn
     assert replay.dt == 0.05
     app = draw("replays", run=run_id, step="320", episode="1")

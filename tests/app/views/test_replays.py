@@ -8,6 +8,7 @@ from urllib.parse import parse_qs, urljoin, urlsplit
 import numpy as np
 import pytest
 import torch
+from common import present
 from streamlit.testing.v1 import AppTest
 from studio_pages import Show, array, draw, figures, metrics, recorded, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM
@@ -29,9 +30,7 @@ def run(store: Path) -> RunReader:
 
 
 def loaded(run: RunReader, step: int, horizon: int = 10) -> Replay:
-    found = replays.load(run, step, 0, horizon)
-    assert found is not None
-    return found
+    return present(replays.load(run, step, 0, horizon))
 
 
 def test_a_replay_is_the_recorded_episode_and_a_ghost(run: RunReader) -> None:
@@ -121,8 +120,7 @@ def test_the_page_shows_the_chosen_episode(store: Path, run: RunReader) -> None:
     steps, means = recorded(store, PENDULUM_TOM)
     assert array(curve["x"]).tolist() == steps
     assert array(curve["y"]) == pytest.approx(means)
-    replay = replays.load(run, 400, 1, 25)
-    assert replay is not None
+    replay = present(replays.load(run, 400, 1, 25))
     assert array(trace(rewards, name="real")["y"])[:-1] == pytest.approx(episodes[1].reward)
     assert rewards["layout"]["shapes"][0]["x0"] == pytest.approx(3 * replay.dt)
     assert array(rewards["data"][-1]["y"])[1:] == pytest.approx(replay.error)
@@ -139,8 +137,7 @@ def test_an_episode_is_shown_in_rerun_and_one_that_is_not_there_is_none(
 ) -> None:
     app = draw("replays", run=PENDULUM_TOM, episode="2", ghost="10 steps", viewer="Rerun")
     assert asked_of_rerun(app) == f"/rrd/{PENDULUM_TOM}/episode-400-1-10.rrd"
-    content = viewers.episode(str(store), PENDULUM_TOM, 400, 1, 10)
-    assert content is not None
+    content = present(viewers.episode(str(store), PENDULUM_TOM, 400, 1, 10))
     assert content.startswith(b"RRF2")
     assert viewers.episode(str(store), PENDULUM_TOM, 400, 99, 25) is None
     assert viewers.episode(str(store), "../etc", 400, 0, 25) is None

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from common import present
 from studio_pages import array, draw, figures, parts, trace
 from studio_runs import ROAD_MLE, ROAD_TOM, altered, info
 
@@ -23,8 +24,7 @@ def test_the_weights_and_the_policy_lie_over_the_map(store: Path) -> None:
     heat = trace(figure, name="weights")
     weight = RunReader(store / ROAD_TOM).snapshot(60)["weight"].to_numpy()
     assert np.nanmax(array(heat["customdata"])) <= weight.max() + 1e-5
-    picture = road.picture(RunReader(store / ROAD_TOM), 60)
-    assert picture is not None
+    picture = present(road.picture(RunReader(store / ROAD_TOM), 60))
     moves = trace(figure, name="modelled move")
     (x, to_x), (y, to_y) = (array(moves[axis])[:2] for axis in "xy")
     assert (to_x - x, to_y - y) == pytest.approx(picture.modelled[0], abs=1e-6)
@@ -46,8 +46,7 @@ def test_two_runs_are_drawn_side_by_side_on_one_scale(store: Path) -> None:
     assert maps[0]["colorbar"]["tickvals"] == maps[1]["colorbar"]["tickvals"]
     tom, mle = (array(each["customdata"]) for each in maps)
     for shown, run_id in ((tom, ROAD_TOM), (mle, ROAD_MLE)):
-        picture = road.picture(RunReader(store / run_id), 60)
-        assert picture is not None
+        picture = present(road.picture(RunReader(store / run_id), 60))
         assert shown == pytest.approx(picture.grid, nan_ok=True)
     assert np.nanmax(tom) > 2
     assert np.nanmax(mle) == pytest.approx(1)

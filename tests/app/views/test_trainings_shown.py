@@ -8,12 +8,12 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from common import change
 from streamlit.testing.v1 import AppTest
 from studio_pages import TIMEOUT_S, Show, draw, recorded
 from studio_runs import (
     PENDULUM_TOM,
     ROAD_MLE,
-    change,
     info,
     set_status,
     stand_in,

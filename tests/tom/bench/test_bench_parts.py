@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from commands import refused
-from common import online
+from common import online, present
 
 from tom.bench.parts import parts
 from tom.bench.projection import beside_ms, between_fits_ms, hours, per_step_ms
@@ -52,8 +52,7 @@ def test_the_arithmetic_of_an_update_is_what_is_published():
     ],
 )
 def test_targets_are_met_on_their_own_side(row: Timing, met: bool):
-    wanted = target(row, BESIDE)
-    assert wanted is not None
+    wanted = present(target(row, BESIDE))
     assert wanted[1] is met
     assert target(timing("Hopper-v5 step"), BESIDE) is None
 

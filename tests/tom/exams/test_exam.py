@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from common import generator, online
+from common import generator, online, present
 from torch import Tensor
 
 from tom.config import OnlineConfig
@@ -211,8 +211,7 @@ def test_the_weights_that_are_examined_are_the_fits():
     for learner, changes in (("tom", {"model": {"weight_clip": 1.01}}), ("vagram", {})):
         training = Mbpo(smoke(learner, steps=301, **changes))
         weights = [e for e in training.events() if isinstance(e, Weights)][-1]
-        fitted = training._fitted
-        assert fitted is not None
+        fitted = present(training._fitted)
         assert np.ptp(weights.weight) > 0
         clip = 1.01 if learner == "tom" else np.inf
         np.testing.assert_array_equal(fitted.weights, weights.weight.clip(max=clip))

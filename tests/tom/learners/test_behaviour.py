@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from common import one_line
+from common import one_line, present
 from made import ACTION, LinearGaussian, context, rows, uniform_policy
 from torch import Tensor
 from torch.distributions import Normal, TransformedDistribution, Uniform, kl_divergence
@@ -128,8 +128,7 @@ def test_pmer_is_a_mixture_of_uniform_rows_and_rows_by_error():
 
 
 def lacking(row: int) -> Tensor:
-    then = given().behaviour
-    assert then is not None
+    then = present(given().behaviour)
     then[row] = torch.nan
     return then
 

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from common import generator, online
+from common import generator, online, present
 from made import ACTION, OBS, QUICK, LinearGaussian, context, rows
 
 from tom.config import ModelConfig, OnlineConfig, RolloutConfig
@@ -70,8 +70,7 @@ def test_a_defensive_mixture_leaves_no_row_below_its_share():
     weighting = Weighting(torch.tensor([0.0, 0.5, 2.5]))
     rows, _ = weighting.for_fit(ModelConfig(uniform_share=0.5))
     assert rows.tolist() == [0.5, 0.75, 1.75]
-    starts = weighting.for_starts(RolloutConfig(uniform_share=0.2))
-    assert starts is not None
+    starts = present(weighting.for_starts(RolloutConfig(uniform_share=0.2)))
     assert starts.tolist() == pytest.approx([0.2, 0.6, 2.2])
     assert weighting.for_starts(RolloutConfig(weighted_starts=False)) is None
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from common import generator
+from common import generator, present
 from made import OBS, QUICK, ended, rows, uniform_policy
 from torch import Tensor
 
@@ -77,8 +77,7 @@ def test_the_level_is_what_makes_the_mean_one():
 def test_recorded_terms_are_the_terms():
     _, terms = found(QUICK)
     recorded = {"log_ratio": terms.log_ratio, **terms.recorded()}
-    again = of_recorded(recorded)
-    assert again is not None
+    again = present(of_recorded(recorded))
     assert torch.equal(again.argument(QUICK), terms.argument(QUICK))
     assert of_recorded({"log_ratio": terms.log_ratio}) is None
 

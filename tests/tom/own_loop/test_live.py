@@ -1,10 +1,10 @@
 """`tom.weigh_live`: the weights of a growing buffer, computed beside the loop."""
 
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from kernel import wait_for
 from loops import loaded
 
 from tom.own_loop.live import weigh_live
@@ -32,10 +32,8 @@ def hand_in(run: OwnRun, rows: int, envs: int = 1) -> None:
 
 
 def until_weighed(store: Path, learner: str, step: int) -> None:
-    begun, live = time.monotonic(), store / "mine" / layout.LIVE / learner
-    while not [s for s in RunReader(live).snapshot_steps() if s >= step]:
-        assert time.monotonic() - begun < PATIENCE_S
-        time.sleep(0.05)
+    live = RunReader(store / "mine" / layout.LIVE / learner)
+    wait_for(lambda: max(live.snapshot_steps(), default=0) >= step, PATIENCE_S)
 
 
 @pytest.mark.parametrize("envs", [pytest.param(1, marks=pytest.mark.slow), 2])
@@ -84,10 +82,7 @@ def test_a_weighing_that_fails_is_told_at_the_end(tmp_path: Path):
     hand_in(run, 200)
     (run.path / layout.policy(200)).write_bytes(b"no policy")
     live = weigh_live(run, ("mle",), every=100)
-    begun = time.monotonic()
-    while not live.failed():
-        assert time.monotonic() - begun < PATIENCE_S
-        time.sleep(0.05)
+    wait_for(live.failed, PATIENCE_S)
     with pytest.warns(UserWarning, match="live weighing failed"):
         run.close()
     assert str(loaded(tmp_path).summary["state"]) == "finished"

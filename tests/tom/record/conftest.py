@@ -4,12 +4,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from common import recorded
 from recorded import Config, events
 
 from tom.events import Event
 from tom.record import RunReader, Store
-from tom.record.recorder import Recorder
-from tom.record.writer import RunWriter
 
 
 @pytest.fixture
@@ -22,9 +21,6 @@ def record(store: Store) -> Callable[..., RunReader]:
     """Record events (default: all of them) as a run and read it back."""
 
     def run(run_id: str = "run", given: list[Event] | None = None) -> RunReader:
-        with Recorder(RunWriter.create(store, run_id, Config, command="tom train")) as recorder:
-            for event in events() if given is None else given:
-                recorder.consume(event)
-        return store.run(run_id)
+        return recorded(store, run_id, Config, events() if given is None else given)
 
     return run

@@ -1,13 +1,12 @@
 """Runs in an object store: put, taken over, fetched."""
 
-import json
 import os
 import shutil
-from dataclasses import asdict
 from pathlib import Path
 from urllib.request import Request, urlopen
 
 import pytest
+from common import change, present
 from recorded import events
 
 from tom.errors import UserError
@@ -88,8 +87,7 @@ def test_a_put_that_breaks_off_anywhere_leaves_a_whole_checkpoint_and_its_data(
         except OSError:
             bucket.left = 10**6
         assert fetch(bucket, "run", tmp_path / "there") == attempt.name
-        held = checkpoint.load(tmp_path / "there" / checkpoint.FOLDER)
-        assert held is not None
+        held = present(checkpoint.load(tmp_path / "there" / checkpoint.FOLDER))
         put = (tmp_path / "there" / "metrics.jsonl").read_bytes()
         assert put.count(b"\n") >= counted[held.env_step]
 
@@ -113,8 +111,7 @@ def test_a_newer_attempt_ends_the_older_and_is_the_run_once_it_is_whole(
 
 def test_fetch_keeps_labels_and_what_is_further_here(bucket: Bucket, record, tmp_path: Path):
     run = record("run", events()[:600])
-    status = json.loads((run.path / "status.json").read_text())
-    (run.path / "status.json").write_text(json.dumps(status | {"state": "stopped", "env_step": 5}))
+    change(run.path / "status.json", state="stopped", env_step=5)
     attempt = Attempt.claim(bucket, "run")
     attempt.put(run.path)
     here = Store(tmp_path / "here")
@@ -122,12 +119,12 @@ def test_fetch_keeps_labels_and_what_is_further_here(bucket: Bucket, record, tmp
     assert fetch_run(bucket, "run", here) == FETCHED
     assert fetch_run(bucket, "run", here) == SAME
     manage.label(here, "run", add=["mine"])
-    (run.path / "status.json").write_text(json.dumps(status))
+    change(run.path / "status.json", state="finished", env_step=600)
     attempt.put(run.path)
     assert fetch_run(bucket, "run", here) == FETCHED
     assert here.run("run").status.state == "finished"
     assert here.run("run").labels.tags == ("mine",)
-    (run.path / "status.json").write_text(json.dumps(status | {"state": "stopped", "env_step": 5}))
+    change(run.path / "status.json", state="stopped", env_step=5)
     attempt.put(run.path)
     assert fetch_run(bucket, "run", here) == AHEAD
     assert here.run("run").status.state == "finished"
@@ -149,17 +146,12 @@ def test_names_that_lead_out_of_the_run_are_not_fetched(bucket: Bucket, record, 
     assert list(here.path.iterdir()) == []
 
 
-def say(run: RunReader, state: str, env_step: int) -> None:
-    content = asdict(run.status) | {"state": state, "env_step": env_step}
-    (run.path / "status.json").write_text(json.dumps(content))
-
-
 @pytest.fixture
 def here(tmp_path: Path, record) -> Store:
     """A store that holds a labelled copy of the run from before it was finished."""
     store = Store(tmp_path / "here")
     shutil.copytree(record("run", events()[:600]).path, store.path / "run")
-    say(store.run("run"), "stopped", 5)
+    change(store.path / "run/status.json", state="stopped", env_step=5)
     manage.label(store, "run", add=["mine"])
     return store
 
@@ -191,16 +183,14 @@ def test_a_fetch_that_ends_between_two_renames_loses_nothing(
 
 def test_another_run_of_that_name_is_kept_in_the_trash(here: Store, store: Store, bucket_url: str):
     """It may have been trained here, with the settings of the one in the object store."""
-    path = here.path / "run" / "config.json"
-    other = json.loads(path.read_text()) | {"created": "2026-01-01T00:00:00+00:00"}
-    path.write_text(json.dumps(other))
+    change(here.path / "run" / "config.json", created="2026-01-01T00:00:00+00:00")
     bucket = Bucket.open(bucket_url)
     Attempt.claim(bucket, "run").put(store.path / "run")
     assert fetch_run(bucket, "run", here) == FETCHED_ANEW
     assert (here.run("run").created, here.run("run").labels.tags) == (store.run("run").created, ())
     manage.trash(here, "run")
     kept = RunReader(here.path / ".trash" / "run")
-    assert (kept.created, kept.labels.tags) == (other["created"], ("mine",))
+    assert (kept.created, kept.labels.tags) == ("2026-01-01T00:00:00+00:00", ("mine",))
 
 
 @pytest.mark.parametrize(("trained_to", "done"), [(400, AHEAD), (100, FETCHED_ANEW)])
@@ -209,7 +199,7 @@ def test_a_run_whose_status_cannot_be_read_is_never_deleted(
 ):
     """Its checkpoints say how far it is; a status that is damaged says nothing."""
     there, bucket = store.run("run"), Bucket.open(bucket_url)
-    say(there, "stopped", 300)
+    change(there.path / "status.json", state="stopped", env_step=300)
     checkpoint.save(there.path / checkpoint.FOLDER, 300, {"a": 1})
     Attempt.claim(bucket, "run").put(there.path)
     mine = here.run("run")

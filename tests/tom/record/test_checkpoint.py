@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from common import present
 
 from tom.record import checkpoint
 
@@ -17,8 +18,7 @@ def test_round_trip_and_only_two_are_kept(tmp_path: Path):
     for step in (100, 200, 300, 300):  # a resumed run saves a step again
         checkpoint.save(tmp_path, step, state(step))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["000000200", "000000300"]
-    loaded = checkpoint.load(tmp_path)
-    assert loaded is not None
+    loaded = present(checkpoint.load(tmp_path))
     assert loaded.env_step == 300
     assert torch.equal(loaded.state["x"], state(300)["x"])
     assert loaded.state["none"] is None
@@ -42,7 +42,6 @@ def test_a_damaged_checkpoint_is_named_and_the_previous_one_used(tmp_path: Path,
             (path / "manifest.json").unlink()
         case "newer schema":
             (path / "manifest.json").write_text('{"schema": 99}')
-    loaded = checkpoint.load(tmp_path)
-    assert loaded is not None
+    loaded = present(checkpoint.load(tmp_path))
     assert loaded.env_step == 1
     assert "000000002" in loaded.problems[0]

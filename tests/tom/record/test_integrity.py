@@ -1,11 +1,11 @@
 """Runs that were recorded for real, damaged by hand, found out and repaired."""
 
-import json
 import os
 import shutil
 from pathlib import Path
 
 import pytest
+from common import change
 from recorded import Config, events
 
 from tom.errors import UserError
@@ -68,10 +68,8 @@ def test_damaged_lines_become_blank_where_they_are_and_are_kept_aside(record):
 
 def test_a_run_that_died_becomes_stopped(record):
     run = record()
-    path = run.path / "status.json"
-    status = json.loads(path.read_text())
-    status |= {"state": "running", "heartbeat": status["heartbeat"] - 3600}
-    path.write_text(json.dumps(status))
+    beat = RunReader(run.path).status.heartbeat - 3600
+    change(run.path / "status.json", state="running", heartbeat=beat)
     (run.path / "weights/.snapshot-000000001.parquet.123.tmp").write_bytes(b"half")
     assert any("heartbeat" in problem for problem in verify(run))
     repair(run)

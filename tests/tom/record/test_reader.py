@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from common import change
 from recorded import FIT, STEPS
 
 from tom.record import RunReader
@@ -83,10 +84,8 @@ def test_a_damaged_status_is_unknown(record):
 @pytest.mark.parametrize(("age", "shown"), [(0, "running"), (20, "running"), (31, "dead")])
 def test_a_run_whose_heart_stopped_is_dead(record, age: float, shown: str):
     run = record()
-    path = run.path / "status.json"
-    content = json.loads(path.read_text())
-    content |= {"state": "running", "heartbeat": content["heartbeat"] - age}
-    path.write_text(json.dumps(content))
+    beat = RunReader(run.path).status.heartbeat - age
+    change(run.path / "status.json", state="running", heartbeat=beat)
     assert run.status.shown == shown
     assert run.status.alive == (shown == "running")
 

@@ -1,9 +1,10 @@
 import threading
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from common import recorded
+from kernel import wait_for
 from recorded import (
     ACTION,
     EVALUATE,
@@ -104,27 +105,22 @@ def test_snapshots_are_spread_over_the_run_and_the_last_is_there(record):
 
 def test_a_part_of_the_run_has_one_snapshot_also_where_a_fit_falls_on_its_first_step(store: Store):
     config = Config.but(steps=40_000, snapshots=12)
-    with Recorder(RunWriter.create(store, "run", config)) as recorder:
-        for step in range(5000, 40_000, 250):
-            recorder.consume(Weights(step, np.ones(1, np.float32)))
+    fits = [Weights(step, np.ones(1, np.float32)) for step in range(5000, 40_000, 250)]
+    run = recorded(store, "run", config, fits)
     kept = [5000, 6750, 10000, 13500, 16750, 20000, 23500, 26750, 30000, 33500, 36750, 39750]
-    assert store.run("run").snapshot_steps() == kept
+    assert run.snapshot_steps() == kept
 
 
 def test_a_run_without_chosen_snapshots_keeps_the_last(store: Store):
     config = Config.but(snapshots=0)
-    with Recorder(RunWriter.create(store, "run", config)) as recorder:
-        for step in EVERY_FIT:
-            recorder.consume(replace(weights(step), policy=POLICY))
-    run = store.run("run")
+    fits = [replace(weights(step), policy=POLICY) for step in EVERY_FIT]
+    run = recorded(store, "run", config, fits)
     assert run.snapshot_steps() == run.policy_steps() == [1000]
 
 
-def test_weights_of_each_dimension_are_kept(store: Store):
+def test_weights_of_each_dimension_are_kept(record):
     per_dim = np.arange(20, dtype=np.float32).reshape(10, 2)
-    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
-        recorder.consume(Weights(100, per_dim.mean(1), per_dim=per_dim))
-    table = store.run("run").snapshot(100)
+    table = record(given=[Weights(100, per_dim.mean(1), per_dim=per_dim)]).snapshot(100)
     np.testing.assert_array_equal(table[["dim_0", "dim_1"]], per_dim)
 
 
@@ -233,10 +229,7 @@ def test_the_heart_beats_while_training_is_busy(store: Store, monkeypatch):
     recorder = Recorder(RunWriter.create(store, "run", Config))
     first = store.run("run").status
     assert first.alive
-    deadline = time.monotonic() + 10
-    while store.run("run").status.heartbeat == first.heartbeat:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_for(lambda: store.run("run").status.heartbeat != first.heartbeat)
     recorder.finish("finished")
     assert "heartbeat" not in [thread.name for thread in threading.enumerate()]
 

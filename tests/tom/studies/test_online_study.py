@@ -1,28 +1,28 @@
 """Profiles of small recorded runs whose every weight is known."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from common import recorded
 
 from tom.events import Tick, Weights
 from tom.record import Store
-from tom.record.recorder import Recorder
-from tom.record.writer import RunWriter
 from tom.studies import online as study
 from tom.training.presets import resolve
 
 N = 1000
 
 
-def record(store: Store, learner: str, weights: list[np.ndarray], env: str = "hopper") -> None:
+def record(
+    store: Store, learner: str, weights: list[np.ndarray], env: str = "hopper", **changes: Any
+) -> None:
     """A run that fits its model at steps 250, 500 and so on."""
-    config = resolve(env, learner, "paper", {"snapshots": 0})
-    writer = RunWriter.create(store, store.new_run_id(env, learner, 0), config)
-    with Recorder(writer) as recorder:
-        for i, weight in enumerate(weights, start=1):
-            recorder.consume(Weights(250 * i, weight.astype(np.float32)))
-            recorder.consume(Tick(250 * i, "fit"))
+    config = resolve(env, learner, "paper", {"snapshots": 0, **changes})
+    fits = [Weights(250 * i, one.astype(np.float32)) for i, one in enumerate(weights, start=1)]
+    told = (event for fit in fits for event in (fit, Tick(fit.env_step, "fit")))
+    recorded(store, store.new_run_id(env, learner, 0), config, told)
 
 
 def on(first: int, last: int) -> np.ndarray:
@@ -48,10 +48,7 @@ def test_where_the_weight_lies(tmp_path: Path):
 
 def test_of_few_bins_the_newest_is_the_newest_tenth(tmp_path: Path):
     store = Store(tmp_path)
-    config = resolve("hopper", "tom", "paper", {"snapshots": 0, "bins": 4})
-    with Recorder(RunWriter.create(store, "few", config)) as recorder:
-        recorder.consume(Weights(250, on(0, 250).astype(np.float32)))
-        recorder.consume(Tick(250, "fit"))
+    record(store, "tom", [on(0, 250)], bins=4)
     (panel,) = study.panels(store.runs(), "paper")
     assert panel.bins.shape == (1, 4)
     (row,) = study.rows([panel])

@@ -5,11 +5,11 @@ import signal
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 from commands import refused
+from common import change, recorded
 from sweeping import assert_same_runs, beyond_a_checkpoint, finish, plan, until
 
 from tom.cli import main
@@ -17,9 +17,6 @@ from tom.errors import TRY_LATER
 from tom.events import Tick
 from tom.record import RunReader, Store, layout
 from tom.record.bucket import CLAIM, FETCHED, Attempt, Bucket, fetch_run, newest
-from tom.record.files import replace_json
-from tom.record.recorder import Recorder
-from tom.record.writer import RunWriter
 from tom.sweep import bucket as worker
 from tom.sweep.bucket import LEASE_S, LOOK_S, BucketBackend
 from tom.sweep.driver import Driver, FolderBackend
@@ -113,15 +110,13 @@ class Elsewhere:
     """Another machine's worker of a run, whose clock is off."""
 
     def __init__(self, bucket: Bucket, trial: Trial, folder: Path) -> None:
-        with Recorder(RunWriter.create(Store(folder), trial.run_id, trial.config)) as recorder:
-            recorder.consume(Tick(10, "explore"))
-            recorder.finish("stopped")
-        self.folder = folder / trial.run_id
+        ticked = [Tick(10, "explore")]
+        one = recorded(Store(folder), trial.run_id, trial.config, ticked, state="stopped")
+        self.folder = one.path
         self.attempt = Attempt.claim(bucket, trial.run_id)
 
     def put(self, state: str, heartbeat: float) -> None:
-        status = replace(RunReader(self.folder).status, state=state, heartbeat=heartbeat)
-        replace_json(self.folder / layout.STATUS, asdict(status), sync=False)
+        change(self.folder / layout.STATUS, state=state, heartbeat=heartbeat)
         self.attempt.put(self.folder)
 
 

@@ -1,11 +1,11 @@
 """Sweeps of real trainings that are killed, interrupted, starved of disk, or that always fail."""
 
-import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from common import change
 from sweeping import (
     EVERY,
     STEPS,
@@ -93,7 +93,7 @@ def test_a_run_that_is_refused_for_now__is_reported_and_kept(tmp_path: Path):
     trial = stopped(tmp_path)
     path = tmp_path / trial.run_id / "config.json"
     whole = path.read_text()
-    path.write_text(json.dumps(json.loads(whole) | {"plugins": ["mine.py"]}))
+    change(path, plugins=["mine.py"])
     second = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=0.1)
     finish(second)
     assert (second.jobs[0].state, second.jobs[0].attempts) == ("failed", 1)

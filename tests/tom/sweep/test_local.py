@@ -4,19 +4,19 @@ import _thread
 import json
 import threading
 import time
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Literal
 
 import pytest
 from commands import code_of
+from common import measured, recorded
 from sweeping import plan, until
 
-from tom.events import Metrics, Tick
+from tom.events import Tick
 from tom.record import Store, checkpoint, layout
 from tom.record.export import export_small
 from tom.record.files import replace_json
-from tom.record.recorder import Recorder
 from tom.record.status import DEAD_AFTER_S, Status
 from tom.record.writer import RunWriter
 from tom.sweep.driver import Driver, FolderBackend
@@ -76,10 +76,8 @@ def test_a_file_and_options_on_top_of_it(tmp_path: Path, capsys):
 def test_a_small_copy_of_a_finished_run_is_done_and_called_one(tmp_path: Path, capsys):
     (trial,) = trials(checked(PLAN))
     store, copies = Store(tmp_path), tmp_path / "copies"
-    with Recorder(RunWriter.create(store, trial.run_id, trial.config)) as recorder:
-        for step in (200, 250):
-            recorder.consume(Metrics(step, {"time/wall_s": float(step)}))
-            recorder.consume(Tick(step, "optimise"))
+    steps = [(step, {"time/wall_s": float(step)}) for step in (200, 250)]
+    measured(store, trial.run_id, "mle", 0, *steps, env=PLAN["env"], preset="smoke", steps=250)
     export_small(store.run(trial.run_id), copies)
     words = (*SMOKE, "--dry-run")
     assert "finished (a small copy)" in sweep(capsys, copies, *words)[1]
@@ -94,9 +92,8 @@ def test_a_small_copy_of_a_finished_run_is_done_and_called_one(tmp_path: Path, c
 def test_a_run_that_was_given_more_steps_and_has_those_of_the_plan_is_done(tmp_path: Path, capsys):
     (trial,) = trials(checked(PLAN))
     more = trial.config.but(steps=2 * trial.config.steps)
-    with Recorder(RunWriter.create(Store(tmp_path), trial.run_id, more)) as recorder:
-        recorder.consume(Tick(trial.config.total_steps + 10, "optimise"))
-        recorder.finish("stopped")
+    ticked = [Tick(trial.config.total_steps + 10, "optimise")]
+    recorded(Store(tmp_path), trial.run_id, more, ticked, state="stopped")
     code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--dry-run")
     assert code == 0
     assert "0 to do" in out
@@ -121,8 +118,7 @@ def test_a_run_that_was_given_fewer_steps_gets_the_rest(tmp_path: Path, capsys):
 def test_a_longer_run_is_not_thrown_away_for_one_that_never_got_anywhere(tmp_path: Path):
     (trial,) = trials(checked(PLAN))
     store, more = Store(tmp_path), trial.config.but(steps=2 * trial.config.steps)
-    with Recorder(RunWriter.create(store, trial.run_id, more)) as recorder:
-        recorder.consume(Tick(more.steps, "optimise"))
+    recorded(store, trial.run_id, more, [Tick(more.steps, "optimise")])
     RunWriter.create(store, "by-hand", trial.config).close()
     driver = Driver(FolderBackend(store), [trial], LocalEngine(1))
     assert driver.poll()
@@ -132,9 +128,8 @@ def test_a_longer_run_is_not_thrown_away_for_one_that_never_got_anywhere(tmp_pat
 
 def finished(store: Store, trial: Trial) -> Path:
     """A run of the trial that is finished, with its last checkpoint."""
-    with Recorder(RunWriter.create(store, trial.run_id, trial.config)) as recorder:
-        recorder.consume(Tick(trial.config.total_steps, "optimise"))
-    path = store.path / trial.run_id
+    ticked = [Tick(trial.config.total_steps, "optimise")]
+    path = recorded(store, trial.run_id, trial.config, ticked).path
     checkpoint.save(path / checkpoint.FOLDER, trial.config.total_steps, {})
     return path
 
@@ -197,6 +192,11 @@ def died_early(tmp_path: Path, trial: Trial) -> Store:
     return store
 
 
+def beats(run: Path, now: float) -> None:
+    """The status that another machine's writer puts there."""
+    replace_json(run / layout.STATUS, asdict(Status("running", heartbeat=now)), sync=False)
+
+
 @pytest.mark.parametrize("off_s", [-1e4, 1e4])
 def test_a_run_of_another_machine_is_watched_whatever_its_clock_says(
     off_s: float, died_early: Store, trial: Trial
@@ -205,8 +205,7 @@ def test_a_run_of_another_machine_is_watched_whatever_its_clock_says(
     (run.path / layout.LOCK).write_text("another machine")
     backend = FolderBackend(died_early, lambda: now)
     for beat in range(3):
-        beats = Status("running", heartbeat=time.time() + off_s + beat)
-        replace_json(run.path / layout.STATUS, asdict(beats), sync=False)
+        beats(run.path, time.time() + off_s + beat)
         assert backend.writer(died_early.run(trial.run_id))
         now += DEAD_AFTER_S - 1.0
         assert backend.writer(died_early.run(trial.run_id))
@@ -220,8 +219,7 @@ def test_a_run_that_another_machine_trains_takes_no_core_of_this_one(tmp_path: P
     writer = RunWriter.create(store, planned[0].run_id, planned[0].config)
     writer.close()
     (writer.path / layout.LOCK).write_text("another machine")
-    beats = replace(store.run(writer.run_id).status, state="running", heartbeat=time.time())
-    replace_json(writer.path / layout.STATUS, asdict(beats), sync=False)
+    beats(writer.path, time.time())
     driver = Driver(FolderBackend(store), planned, LocalEngine(1), back_off_s=LONG_S)
     try:
         assert not driver.poll()

@@ -4,16 +4,15 @@ import json
 from pathlib import Path
 
 import pytest
+from common import measured
 
 from tom.bench import projection
 from tom.bench.projection import NEEDED, per_step_ms, written_bytes
 from tom.cli import main
 from tom.config import OnlineConfig
 from tom.envs import ENVS
-from tom.events import Metrics, Tick
 from tom.machine.matmul import cache_file
 from tom.record import Store, checkpoint
-from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
 from tom.sweep.projection import cost, makespan
 from tom.training.plan import checked, trials
@@ -37,10 +36,8 @@ def test_the_last_run_ends_when_it_has_had_its_turn():
 def test_of_a_run_that_goes_on_what_is_left_is_counted(tmp_path: Path):
     (trial,) = trials(checked({**PLAN, "learner": "mle", "steps": 9_000}))
     store = Store(tmp_path / "store")
-    with Recorder(RunWriter.create(store, trial.run_id, trial.config)) as recorder:
-        for step in (5_000, 9_000):
-            recorder.consume(Metrics(step, {"model/loss": 0.0}))
-            recorder.consume(Tick(step, "optimise"))
+    told = [(step, {"model/loss": 0.0}) for step in (5_000, 9_000)]
+    measured(store, trial.run_id, "mle", 0, *told, steps=9_000)
     whole, half, none = (cost(trial, store.runs(), done) for done in (0, 7_000, 9_000))
     assert whole is not None
     assert half is not None

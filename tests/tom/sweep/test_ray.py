@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from commands import refused
+from commands import OWN_TASK, refused
 from kernel import descendants
 from sweeping import WAIT_S, assert_same_runs, beyond_a_checkpoint, finish, plan, until
 
@@ -23,16 +23,6 @@ from tom.sweep.driver import Driver, FolderBackend
 from tom.sweep.engine import LocalEngine
 
 ROOT = Path(__file__).parents[3]
-TASK = """
-import gymnasium as gym
-from gymnasium.envs.classic_control import PendulumEnv
-
-gym.register("Own-v0", PendulumEnv, max_episode_steps=60)
-
-
-def fallen(obs):
-    return obs[:, 0] < -0.9
-"""
 SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke")
 RAY = (sys.executable, "-m", "ray.scripts.scripts")
 
@@ -124,7 +114,7 @@ def head(node: Callable[..., subprocess.Popen[bytes]]) -> Head:
 def test_what_the_user_names_reaches_a_cluster_that_was_there_before(
     head: Head, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    (tmp_path / "own_tasks.py").write_text(TASK)
+    (tmp_path / "own_tasks.py").write_text(OWN_TASK)
     (tmp_path / "own_learner.py").write_text("from reward import register")
     for path in (ROOT / "docs/examples").glob("*.py"):
         shutil.copy(path, tmp_path)

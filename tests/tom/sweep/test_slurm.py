@@ -4,13 +4,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from kernel import wait_for
 
 from tom.cli import main
-from tom.record import Store
+from tom.record import RunReader
 from tom.sweep.engine import script
 from tom.training.plan import checked, trials
 
@@ -53,15 +53,11 @@ def test_the_time_of_a_slurm_task_is_up__leaves_a_checkpoint_and_queues_again(tm
     }
     process = subprocess.Popen(["bash", str(file)], env={**os.environ, **task})
     run_id = planned[1].run_id
-    until = time.monotonic() + 60
-    while time.monotonic() < until:
-        folder = tmp_path / "store" / run_id
-        if folder.is_dir() and Store(tmp_path / "store").run(run_id).status.env_step > 300:
-            break
-        time.sleep(0.2)
+    run = tmp_path / "store" / run_id
+    wait_for(lambda: run.is_dir() and RunReader(run).status.env_step > 300)
     process.send_signal(signal.SIGTERM)
     assert process.wait(60) == 0
     assert (tmp_path / "asked").read_text() == "requeue 77_1\n"
-    status = Store(tmp_path / "store").run(run_id).status
+    status = RunReader(run).status
     assert status.state == "stopped"
     assert "--resume" in status.reason

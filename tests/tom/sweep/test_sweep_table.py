@@ -4,12 +4,11 @@ import io
 from pathlib import Path
 
 import pytest
+from common import recorded
 
 from tom.cli.sweep import SweepDisplay
 from tom.events import Tick
 from tom.record import Store
-from tom.record.recorder import Recorder
-from tom.record.writer import RunWriter
 from tom.sweep.driver import Driver, FolderBackend
 from tom.sweep.engine import LocalEngine
 from tom.training.plan import checked, trials
@@ -29,8 +28,7 @@ def driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Driver:
         monkeypatch.setenv(name, value)
     first, *others = trials(checked(PLAN))
     store = Store(tmp_path)
-    with Recorder(RunWriter.create(store, first.run_id, first.config)) as recorder:
-        recorder.consume(Tick(6_000, "optimise"))
+    recorded(store, first.run_id, first.config, [Tick(6_000, "optimise")])
     found = Driver(FolderBackend(store), [first, *others], LocalEngine(1))
     found.jobs[2].state, found.jobs[2].note = "failed", "no memory\nand what came before"
     return found

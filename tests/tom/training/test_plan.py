@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from common import one_line
+from common import one_line, present
 
 from tom.cli import Parser
 from tom.cli.parser import overrides
@@ -98,8 +98,7 @@ def test_a_run_is_known_by_its_settings_not_by_its_name(tmp_path: Path):
     store = Store(tmp_path)
     first, second, *_ = trials(checked(SMALL))
     RunWriter.create(store, "by-hand", first.config).close()
-    found = same_run(first, store.runs())
-    assert found is not None
+    found = present(same_run(first, store.runs()))
     assert found.run_id == "by-hand"
     assert same_run(second, store.runs()) is None
     export_small(found, tmp_path / "copies")  # the newer of the two

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from common import one_line, stopping_at
+from common import one_line, present, stopping_at
 from same_records import assert_same_record
 
 from tom.config import SacRecordingConfig
@@ -69,8 +69,7 @@ def test_the_state_of_a_row_gives_its_obs(recording: RunReader):
 
 def test_a_recording_is_found_again_by_its_settings(recording: RunReader):
     store = Store(recording.path.parent)
-    found = recorded(store, config(threads=2))
-    assert found is not None
+    found = present(recorded(store, config(threads=2)))
     assert found.run_id == recording.run_id
     for other in ({"seed": 1}, {"steps": 1000}, {"sac": {"hidden": 32}}):
         changed = config().but(**other)
