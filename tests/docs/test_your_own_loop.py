@@ -1,31 +1,41 @@
-"""docs/your-own-loop.md: its scripts are run, and its example."""
+"""docs/your-own.md and your-own-loop.md: their scripts are run, and the example."""
 
+import json
 import os
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import QUICK
+from kernel import wait_for
+from loops import loaded
 
-import tom
+from tom.cli import main
 from tom.frames import Run
 from tom.record import RunReader
 
 DOCS = Path(__file__).parents[2] / "docs"
+PAGE = (DOCS / "your-own.md").read_text()
+(SCRIPT,) = re.findall(r"`train.py`:\n\n```python\n(.*?)```", PAGE, re.DOTALL)
+(WEIGH,) = re.findall(r"^tom (weigh .*)$", PAGE, re.MULTILINE)
 BLOCKS = re.findall(r"```python\n(.*?)```", (DOCS / "your-own-loop.md").read_text(), re.DOTALL)
 SCRIPTS = [block for block in BLOCKS if "model.learn" in block]
 FEW = {
     "learning_starts=500": "learning_starts=100",
     "learn(6000": "learn(400",
     "every=1000": "every=100",
+    "learn(4000": "learn(150",
 }
 PATIENCE_S = 120
 
 
 def run_script(text: str, folder: Path, *words: str) -> None:
+    """The script in fewer steps, in a process of its own."""
+    for many, few in FEW.items():
+        text = text.replace(many, few)
     (folder / "train.py").write_text(text)
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
@@ -36,16 +46,27 @@ def run_script(text: str, folder: Path, *words: str) -> None:
     assert not done.stderr, done.stderr
 
 
+@pytest.mark.slow
+def test_what_a_script_exports_is_what_its_model_learnt_from(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    run_script(SCRIPT, tmp_path)
+    assert main([*WEIGH.split(), *QUICK, "--seeds", "0", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["rows"] == 150
+    assert {row["learner"] for row in report["results"]} == {"tom", "pmac", "mle"}
+
+
 def ended(folder: Path, name: str) -> Run:
     """The run, when its live weighings, one of TOM among them, have begun and ended."""
-    begun, run = time.monotonic(), RunReader(folder / "runs" / name)
-    while "tom" not in run.live() or any(
-        live.status.state in ("running", "unknown") for live in run.live().values()
-    ):
-        assert time.monotonic() - begun < PATIENCE_S
-        time.sleep(0.1)
-    found = tom.load(name, store=folder / "runs")
-    assert isinstance(found, Run)
+    run, ends = RunReader(folder / "runs" / name), ("finished", "failed", "stopped")
+
+    def weighed() -> bool:
+        return "tom" in run.live() and all(o.status.state in ends for o in run.live().values())
+
+    wait_for(weighed, PATIENCE_S)
+    found = loaded(folder / "runs", name)
     assert {str(one.summary["state"]) for one in (found, *found.live.values())} == {"finished"}
     return found
 
@@ -55,9 +76,6 @@ def ended(folder: Path, name: str) -> Run:
     [(SCRIPTS[0], "my-sac"), pytest.param(SCRIPTS[1], "weighted-sac", marks=pytest.mark.slow)],
 )
 def test_the_trainings_of_the_page(script: str, name: str, tmp_path: Path):
-    for many, few in FEW.items():
-        assert many in script
-        script = script.replace(many, few)
     run_script(script, tmp_path)
     run = ended(tmp_path, name)
     live = run.live["tom"]

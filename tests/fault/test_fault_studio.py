@@ -1,6 +1,8 @@
 """The studio: several of them on one store, an end without orphans, and hosts that others reach."""
 
 import signal
+import socket
+from contextlib import suppress
 from pathlib import Path
 from threading import Event
 
@@ -11,8 +13,11 @@ from servers import answers, command_of, is_taken, studio
 
 from app.links import Links
 from app.servers import launcher
+from tom.events import Metrics, Tick
 from tom.record import Store
+from tom.record.recorder import Recorder
 from tom.record.rerun import viewer
+from tom.record.writer import RunWriter
 from tom.training.run import train
 
 pytestmark = pytest.mark.fault
@@ -49,3 +54,58 @@ def test_a_host_that_others_reach__is_explicit_and_warns_before_anything_starts(
         assert (links.host, running) == (host, None)
         warned = "reachable from other machines" in capsys.readouterr().err
     assert warned == (host != "127.0.0.1")
+
+
+# Rerun's viewer may be absent or die: neither studio nor training is disturbed
+
+
+def watch(port: int) -> socket.socket:
+    """A viewer of the run's live recording that has read its beginning."""
+    watching = socket.socket()
+    watching.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    watching.connect(("127.0.0.1", port))
+    asked = f"GET /rrd/a/live.rrd HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n"
+    watching.sendall(asked.encode())
+    assert watching.recv(1000).startswith(b"HTTP/1.1 200")
+    return watching
+
+
+def feeds(pid: int) -> list[int]:
+    """The processes of a studio that make live recordings."""
+    found = []
+    for child in descendants(pid):
+        with suppress(OSError):
+            found += [child] * ("rerun.feed" in command_of(child))
+    return found
+
+
+@pytest.mark.quick
+def test_a_rerun_that_ends_at_once__is_named_in_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(viewer, "binary", lambda: Path("/bin/true"))
+    with pytest.raises(TimeoutError, match="/bin/true"):
+        viewer.unpack(tmp_path / "rerun")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_viewer_closed_or_its_run_deleted__its_process_ends_and_the_studio_serves_on(
+    tmp_path: Path,
+):
+    store = Store(tmp_path / "store")
+    with (
+        Recorder(RunWriter.create(store, "a", config())) as recorder,
+        studio(store.path) as (process, port),
+    ):
+        recorder.consume(Tick(1, "explore"))
+        recorder.consume(Metrics(1, {"model/train_nll": 1.0}))
+        with watch(port), watch(port):
+            wait_until(lambda: len(feeds(process.pid)) == 2)
+        wait_until(lambda: not feeds(process.pid))  # also while nothing new comes
+        with watch(port):
+            (store.path / "a").rename(tmp_path / "moved")
+            wait_until(lambda: not feeds(process.pid))
+        assert not answers(port, "/rrd/a/live.rrd")
+        assert answers(port, "/api/health")
+        (tmp_path / "moved").rename(store.path / "a")
+        recorder.beat()

@@ -1,4 +1,4 @@
-"""`tom reproduce returns` on small runs."""
+"""`tom reproduce returns` and `online` on small runs."""
 
 import json
 from collections.abc import Mapping
@@ -134,3 +134,18 @@ def test_a_step_of_one_task_counts_whatever_the_order(at: tuple[str, ...], study
         record(study.store, env, {step: float(step) for step in (1000, 2000)}, env=env)
     steps = {row["env"]: row["at step"] for row in study.found("--at", *at)["summary"]}
     assert steps == {"hopper": 2000, "walker2d": 1000}
+
+
+def test_a_report_of_where_weights_lie(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    store, out = tmp_path / "store", tmp_path / "out"
+    assert main([*TRAIN, "--steps", "450", "--learner", "pmac", "--store", str(store)]) == 0
+    words = ["reproduce", "online", "--store", str(store), "--out", str(out), "--preset", "smoke"]
+    capsys.readouterr()
+    assert main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {row["learner"] for row in found["online"]} == {"PMAC"}
+    assert {path.name for path in out.iterdir()} == {
+        *("online.png", "online.svg", "online.csv", "profiles.csv", "report.html", "report.json"),
+    }
+    assert "hours of training" in (out / "report.html").read_text()
+    assert main(words) == 0

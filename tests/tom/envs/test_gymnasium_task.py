@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from common import one_line
+from common import one_line, present
 from gymnasium.envs.mujoco.swimmer_v5 import SwimmerEnv
 
 from tom.envs import ENVS, scene, task
@@ -168,8 +168,7 @@ def test_named_arrays_of_deepmind_control_lie_side_by_side():
 
 @pytest.mark.parametrize("gym_id", ["Swimmer-v5", "Pusher-v5", "Humanoid-v5"])
 def test_a_robot_is_drawn_from_what_its_run_keeps(gym_id: str):
-    model = scene.made_model(named(gym_id))
-    assert model is not None
+    model = present(scene.made_model(named(gym_id)))
     again = scene.of_arrays(scene.arrays(model))
     spread = np.random.default_rng(0).normal(size=(5, model.mj.nq))
     qpos = model.mj.qpos0 + 0.3 * spread

@@ -1,17 +1,22 @@
-"""The MuJoCo tasks: dimensions, names, action range, seeds, time limit, poses."""
+"""The MuJoCo tasks: dimensions, names, seeds, time limit, states, geometry, ends of episodes."""
 
 import os
 import re
 import subprocess
 import sys
 
+import gymnasium as gym
+import mujoco
 import numpy as np
 import pytest
 import torch
+from common import reloaded
 from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.spaces import Box
+from gymnasium.wrappers import RecordEpisodeStatistics
 
-from tom.envs import ENV_NAMES, ENVS, task
+from tom.envs import ENV_NAMES, ENVS, scene, task
+from tom.envs.environment import capture, restore
 from tom.errors import UserError
 
 DIMENSIONS = {  # obs, action
@@ -112,3 +117,147 @@ def test_importing_and_stepping_needs_no_display_and_writes_no_log(tmp_path):
     clean = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "MUJOCO_GL")}
     subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, env=clean)
     assert list(tmp_path.iterdir()) == []
+
+
+# A captured environment, restored elsewhere, takes the very same steps
+
+
+def play(env: gym.Env, steps: int) -> list[np.ndarray]:
+    """Random steps, with resets in between, as rows of all that the environment answers."""
+    rows = []
+    for _ in range(steps):
+        obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+        rows.append(np.concatenate((obs, [float(reward), terminated, truncated])))
+        if terminated or truncated:
+            rows.append(env.reset()[0])
+    return rows
+
+
+@pytest.mark.parametrize("name", ENVS)
+def test_resumed_steps_are_bit_identical(name):
+    env = ENVS[name].make(seed=3)
+    play(env, 53)
+    state = reloaded(capture(env))
+    expected = play(env, 120)  # capturing changes nothing
+    other = ENVS[name].make(seed=99)
+    play(other, 7)
+    restore(other, state)
+    for left, right in zip(expected, play(other, 120), strict=True):
+        np.testing.assert_array_equal(left, right)
+
+
+def test_elapsed_steps_are_part_of_the_state():
+    env = ENVS["halfcheetah"].make(seed=0)
+    play(env, 990)
+    other = ENVS["halfcheetah"].make(seed=1)
+    restore(other, capture(env))
+    truncated = [bool(row[-1]) for row in play(other, 10)[:10]]
+    assert truncated == [False] * 9 + [True]
+
+
+def test_unknown_wrapper_is_refused():
+    env = RecordEpisodeStatistics(ENVS["hopper"].make(seed=0))
+    with pytest.raises(TypeError, match="RecordEpisodeStatistics"):
+        capture(env)
+
+
+# Geometry
+
+mj = scene._mj
+
+
+@pytest.mark.parametrize("env", list(ENVS))
+def test_geometry_is_where_mujoco_itself_puts_it(env: str):
+    model = scene.model(env).mj
+    qpos = model.qpos0 + np.random.default_rng(0).normal(0, 0.3, (5, model.nq))
+    drawn = scene.geometry(model, qpos)
+    kinds = {scene.CAPSULE: drawn.capsules, scene.SPHERE: drawn.ellipsoids}
+    data = mj.MjData(model)
+    for frame, position in enumerate(qpos):
+        data.qpos[:] = position
+        mj.mj_forward(model, data)
+        np.testing.assert_allclose(drawn.root[frame], data.xpos[1], atol=1e-5)
+        for kind, shape in kinds.items():
+            for k, geom in enumerate(np.flatnonzero(model.geom_type == kind)):
+                rotation = data.geom_xmat[geom].reshape(3, 3)
+                center = data.geom_xpos[geom]
+                np.testing.assert_allclose(shape.center[frame, k], center, atol=1e-5)
+                if kind == scene.CAPSULE:
+                    end = center - rotation[:, 2] * model.geom_size[geom, 1]
+                    np.testing.assert_allclose(shape.capsule_end[frame, k], end, atol=1e-5)
+                x, y, z, w = shape.quaternion[frame, k].astype(float)
+                back = np.zeros(9)
+                mujoco.mju_quat2Mat(back, np.array([w, x, y, z]))  # pyright: ignore
+                np.testing.assert_allclose(back.reshape(3, 3), rotation, atol=1e-5)
+
+
+# Termination functions: both sides of every bound, and the environments' own answers
+
+NAN, INF = float("nan"), float("inf")
+HEALTHY = {
+    "inverted-pendulum": {},
+    "hopper": {0: 1.2},
+    "walker2d": {0: 1.2},
+    "halfcheetah": {},
+    "ant": {0: 0.7},
+    "humanoid": {0: 1.4},
+}
+# (task, dimension, value, does it end?)
+CASES = [
+    *[("inverted-pendulum", 1, v, abs(v) > 0.2) for v in (0.199, 0.201, -0.199, -0.201)],
+    *[("inverted-pendulum", d, v, True) for d in (0, 3) for v in (NAN, INF, -INF)],
+    ("inverted-pendulum", 0, 50.0, False),
+    *[("hopper", 0, v, v <= 0.7) for v in (0.699, 0.7, 0.701, 90.0, 150.0)],
+    *[("hopper", 1, v, abs(v) >= 0.2) for v in (0.199, 0.2, 0.201, -0.199, -0.2, -0.201)],
+    *[
+        ("hopper", d, v, abs(v) >= 100)
+        for d in (2, 5, 10)
+        for v in (99.9, 100.0, 100.1, -99.9, -100.0, -100.1)
+    ],
+    *[("hopper", d, v, True) for d in (0, 4, 10) for v in (NAN, INF, -INF)],
+    *[("walker2d", 0, v, not 0.8 < v < 2.0) for v in (0.799, 0.801, 1.999, 2.001, NAN, INF)],
+    *[("walker2d", 1, v, not abs(v) < 1) for v in (0.999, 1.0, 1.001, -0.999, -1.001, NAN)],
+    ("walker2d", 5, 500.0, False),
+    *[("halfcheetah", d, v, False) for d in (0, 1, 16) for v in (-99.0, 0.0, 1e6)],
+    *[("ant", 0, v, not 0.2 <= v <= 1.0) for v in (0.199, 0.2, 0.201, 0.999, 1.0, 1.001)],
+    *[("ant", d, v, True) for d in (0, 7, 26) for v in (NAN, INF, -INF)],
+    ("ant", 9, -500.0, False),
+    *[("humanoid", 0, v, not 1.0 <= v <= 2.0) for v in (0.999, 1.0, 1.001, 1.999, 2.0, 2.001)],
+    ("humanoid", 0, NAN, True),
+    ("humanoid", 30, 500.0, False),
+]
+
+
+def healthy(name: str) -> torch.Tensor:
+    obs = torch.zeros(ENVS[name].obs_dim)
+    for dimension, value in HEALTHY[name].items():
+        obs[dimension] = value
+    return obs
+
+
+@pytest.mark.parametrize(("name", "dimension", "value", "ends"), CASES)
+def test_both_sides_of_every_bound(name, dimension, value, ends):
+    obs = healthy(name).repeat(3, 1)
+    obs[1, dimension] = value
+    assert ENVS[name].terminated(obs).tolist() == [False, ends, False]
+
+
+@pytest.mark.parametrize("name", ENVS)
+def test_agrees_with_the_environment_from_scattered_states(name):
+    """States thrown widely about, so that every kind of ending occurs in the real simulator."""
+    task, rng = ENVS[name], np.random.default_rng(0)
+    env = task.make(seed=2)
+    simulator = env.unwrapped
+    assert isinstance(simulator, MujocoEnv)
+    start = capture(env)
+    agreed = []
+    for _ in range(150):
+        restore(env, start)
+        data = simulator.data
+        qpos = data.qpos + rng.normal(size=data.qpos.size) * 0.4
+        simulator.set_state(qpos, data.qvel + rng.normal(size=data.qvel.size))
+        obs, _, terminated, _, _ = env.step(env.action_space.sample())
+        ours = task.terminated(torch.as_tensor(obs, dtype=torch.float32)[None]).item()
+        agreed.append((ours, terminated))
+    assert all(ours == theirs for ours, theirs in agreed)
+    assert {theirs for _, theirs in agreed} == {False, name != "halfcheetah"}

@@ -1,6 +1,8 @@
 """Resumed and uninterrupted training are the same to the last bit."""
 
-from collections.abc import Iterator
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import is_dataclass
 from errno import ENOSPC
 from pathlib import Path
 from typing import Any
@@ -16,10 +18,10 @@ from tom.config import OnlineConfig, SacRecordingConfig
 from tom.data.transitions import Transitions
 from tom.envs import task
 from tom.errors import UserError
-from tom.events import Collected, Evaluation, Event, Field, Metrics, Tick, TrainedPolicy, Weights
+from tom.events import Collected, Event, Tick
 from tom.learners import LEARNER_NAMES
 from tom.policy.stored import StoredPolicy
-from tom.record import Store
+from tom.record import RunReader, Store
 from tom.record.writer import RunWriter
 from tom.training.presets import learners, resolve
 from tom.training.resume import resume, unfinished
@@ -54,42 +56,23 @@ def collected(training: Training, events: list[Event]) -> Collected:
     return Collected(0, rows, np.concatenate([p.policy_version for p in parts]), {}, behaviour)
 
 
-def assert_same_events(first: list[Event], second: list[Event]) -> None:
-    assert len(first) == len(second)
-    for a, b in zip(first, second, strict=True):
-        assert type(a) is type(b)
-        assert a.env_step == b.env_step
-        if isinstance(a, Metrics) and isinstance(b, Metrics):
-            np.testing.assert_equal(a.values, b.values)
-        elif isinstance(a, Weights) and isinstance(b, Weights):
-            np.testing.assert_equal(vars(a), vars(b))
-        elif isinstance(a, Evaluation) and isinstance(b, Evaluation):
-            for x, y in zip(a.episodes, b.episodes, strict=True):
-                np.testing.assert_array_equal(x.obs, y.obs)
-        elif isinstance(a, Collected) and isinstance(b, Collected):
-            np.testing.assert_array_equal(a.transitions.numpy().obs, b.transitions.numpy().obs)
-            np.testing.assert_array_equal(a.policy_version, b.policy_version)
-            np.testing.assert_equal(dict(a.state), dict(b.state))
-            np.testing.assert_array_equal(a.behaviour, b.behaviour)
-        elif isinstance(a, Field | TrainedPolicy) and isinstance(b, Field | TrainedPolicy):
-            np.testing.assert_equal(a.arrays, b.arrays)
-
-
-def assert_same_state(a: Any, b: Any, where: str = "") -> None:
-    """Networks, optimisers, generators, buffers, scales, the simulator: all of it, bit for bit."""
+def assert_same(a: Any, b: Any, where: str = "") -> None:
+    """Events, networks, optimisers, generators, buffers, scales, the simulator: bit for bit."""
     assert type(a) is type(b), where
     if isinstance(a, torch.Tensor):
         assert torch.equal(a.nan_to_num(), b.nan_to_num()), where
-    elif isinstance(a, dict):
+    elif is_dataclass(a):
+        assert_same(vars(a), vars(b), where)
+    elif isinstance(a, Mapping):
         assert a.keys() == b.keys(), where
         for name in a.keys() - {"action_random"}:  # nobody draws from it, so nobody seeds it
-            assert_same_state(a[name], b[name], f"{where}/{name}")
+            assert_same(a[name], b[name], f"{where}/{name}")
     elif isinstance(a, list | tuple):
         assert len(a) == len(b), where
         for i, (x, y) in enumerate(zip(a, b, strict=True)):
-            assert_same_state(x, y, f"{where}/{i}")
+            assert_same(x, y, f"{where}/{i}")
     else:
-        assert a == b, where
+        np.testing.assert_equal(a, b, where)
 
 
 def check(config: AnyConfig, stop: int, in_episode: bool = True) -> None:
@@ -105,9 +88,9 @@ def check(config: AnyConfig, stop: int, in_episode: bool = True) -> None:
 
     resumed = make_training(config)
     resumed.load_state_dict(state, collected(training, before))
-    assert_same_state(state, reloaded(resumed.state_dict()))
-    assert_same_events(undisturbed, list(resumed.events()))
-    assert_same_state(training.state_dict(), resumed.state_dict())
+    assert_same(state, reloaded(resumed.state_dict()))
+    assert_same(undisturbed, list(resumed.events()))
+    assert_same(training.state_dict(), resumed.state_dict())
 
 
 SOON = {
@@ -238,3 +221,62 @@ def test_a_run_that_goes_on_has_no_last_policy_until_it_has_ended_again(tmp_path
     assert isinstance(after, StoredPolicy)
     obs = torch.zeros(1, known.obs_dim)
     assert not torch.equal(before.mean(obs), after.mean(obs))
+
+
+# The folder of a run that was stopped and resumed is that of one that was never interrupted
+
+
+def kept(**changes: object) -> OnlineConfig:
+    return smoke("hopper", "tom", checkpoint_every=100, **changes)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> RunReader:
+    store = Store(tmp_path_factory.mktemp("undisturbed"))
+    return train(kept(), store, "whole", rerun=False)
+
+
+def test_stopped_and_resumed_is_the_run_that_was_never_interrupted(undisturbed, tmp_path: Path):
+    store = Store(tmp_path)
+    stop, watchers = stopping_at(STOP)
+    stopped = train(kept(), store, "a", rerun=False, watchers=watchers, stop=stop)
+    assert stopped.status.state == "stopped"
+    assert stopped.status.env_step == STOP
+    assert "--resume a" in stopped.status.reason
+    resumed = resume(store, "a", rerun=False, command="tom train --resume a")
+    assert resumed.status.state == "finished"
+    assert resumed.config["resumes"][0]["command"] == "tom train --resume a"
+    assert_same_record(undisturbed, resumed)
+
+
+def test_a_finished_run_that_goes_on_has_its_last_fit_examined_anew(undisturbed, tmp_path: Path):
+    store = Store(tmp_path)
+    early = train(kept(steps=STOP), store, "a", rerun=False)
+
+    def exams(run: RunReader) -> dict[int, float]:
+        table = run.metrics().dropna(subset="exam/error")
+        return dict(zip(table["env_step"], table["exam/error"], strict=True))
+
+    first, whole = exams(early), exams(undisturbed)
+    assert list(first) == [200, 300]  # the second over 47 steps so far
+    assert list(whole) == [200, 300, 400]
+    assert first[200] == whole[200]
+    assert first[300] != whole[300]
+    with pytest.raises(UserError, match="--steps"):
+        resume(store, "a", rerun=False)
+    longer = resume(store, "a", steps=STEPS, rerun=False)
+    assert exams(longer) == whole
+    assert longer.status.total == STEPS
+    np.testing.assert_array_equal(longer.buffer()[0].obs, undisturbed.buffer()[0].obs)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_gpus_run_is_refused_in_one_line_where_there_is_none(undisturbed, tmp_path: Path):
+    shutil.copytree(undisturbed.path, tmp_path / "gpu")
+    path = tmp_path / "gpu" / "config.json"
+    path.write_text(path.read_text().replace('"device": "cpu"', '"device": "cuda"'))
+    with pytest.raises(UserError, match="--device cuda"):
+        resume(Store(tmp_path), "gpu", steps=1000, rerun=False)
+    with pytest.raises(UserError, match="--device cuda:1"):
+        train(kept(device="cuda:1"), Store(tmp_path), "new", rerun=False)
+    assert not (tmp_path / "new").exists()

@@ -1,14 +1,20 @@
 """The recording holds the right numbers; without it, or when it is slow, training goes on."""
 
+import json
+import os
+import re
 import shutil
 import threading
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from common import change, present, recorded
+from kernel import descendants
 from recorded import Config, events, logged, transitions
 from rerun.chunk import RrdReader
 
@@ -19,9 +25,9 @@ from tom.learners import LEARNERS
 from tom.record import RunReader, Store
 from tom.record.export import export
 from tom.record.recorder import Recorder
-from tom.record.rerun import sink
+from tom.record.rerun import sink, viewer
 from tom.record.rerun.drawing import heat
-from tom.record.rerun.feed import Follower
+from tom.record.rerun.feed import Follower, Tail, stream
 from tom.record.rerun.sink import RerunSink
 from tom.record.rerun.view import episode_recording
 from tom.record.writer import RunWriter
@@ -33,11 +39,8 @@ mj = scene._mj
 def hopper(tmp_path_factory: pytest.TempPathFactory) -> RunReader:
     """The small run, with real hopper positions in its episodes."""
     store = Store(tmp_path_factory.mktemp("store"))
-    writer = RunWriter.create(store, "run", Config)
-    with Recorder(writer, RerunSink(writer.path)) as recorder:
-        for event in events():
-            recorder.consume(_with_real_positions(event))
-    run = store.run("run")
+    told = map(_with_real_positions, events())
+    run = recorded(store, "run", Config, told, RerunSink(store.path / "run"))
     assert run.notices()[-1]["code"] != "rerun", run.notices()[-1]
     return run
 
@@ -76,8 +79,7 @@ def test_the_robot_stands_where_mujoco_puts_it(hopper: RunReader):
     assert table["env_step"].tolist() == [492, 496, 500, 992, 996, 1000]
     model = scene.model("hopper").mj
     data = mj.MjData(model)
-    qpos = hopper.episodes(500)[0].qpos
-    assert qpos is not None
+    qpos = present(hopper.episodes(500)[0].qpos)
     for drawn, frame in zip(table["Capsules3D:translations"], (0, 4, 8), strict=False):
         data.qpos[:] = qpos[frame]
         mj.mj_forward(model, data)
@@ -100,21 +102,21 @@ LINE = np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9]])
 def road(tmp_path_factory: pytest.TempPathFactory) -> RunReader:
     """A fit of road-and-rocks: its data, weights, pictures and metrics."""
     store = Store(tmp_path_factory.mktemp("store"))
-    config = RoadConfig(learner="tom", steps=10)
-    writer = RunWriter.create(store, "road", config)
     rows = replace(transitions(0, 4), obs=PLACES)
     ground = {"centre_line": LINE, "road_half_width": np.array(0.1)}
     ground |= {"start": np.array([0.1, 0.1, 0.02]), "goal": np.array([0.9, 0.9, 0.07])}
     paths = {"expert_0": LINE, "learnt_0": LINE[::-1], "learnt_1": LINE}
     arrows = {"points": PLACES, "true": PLACES / 10, "modelled": -PLACES / 10}
-    with Recorder(writer, RerunSink(writer.path)) as recorder:
-        recorder.consume(Field(0, "map", ground))
-        recorder.consume(Collected(0, rows, np.zeros(4, np.int64)))
-        recorder.consume(Weights(5, np.array([0, 1, 1, 2], np.float32)))
-        recorder.consume(Field(5, "model", arrows))
-        recorder.consume(Field(5, "trajectories", paths))
-        recorder.consume(Metrics(5, {"model/error_road": 0.25}))
-    return store.run("road")
+    told = [
+        Field(0, "map", ground),
+        Collected(0, rows, np.zeros(4, np.int64)),
+        Weights(5, np.array([0, 1, 1, 2], np.float32)),
+        Field(5, "model", arrows),
+        Field(5, "trajectories", paths),
+        Metrics(5, {"model/error_road": 0.25}),
+    ]
+    config = RoadConfig(learner="tom", steps=10)
+    return recorded(store, "road", config, told, RerunSink(store.path / "road"))
 
 
 def test_road_and_rocks_is_a_map(road: RunReader):
@@ -202,13 +204,9 @@ def test_weights_are_blue_below_the_mean_and_red_above():
 
 
 def test_a_recording_that_cannot_be_written_costs_training_nothing(store: Store):
-    writer = RunWriter.create(store, "run", Config)
-    nowhere = RerunSink(writer.path)
+    nowhere = RerunSink(store.path / "run")
     nowhere.path = store.path / "no" / "run.rrd"
-    with Recorder(writer, nowhere) as recorder:
-        for event in events():
-            recorder.consume(event)
-    run = store.run("run")
+    run = recorded(store, "run", Config, events(), nowhere)
     assert run.status.state == "finished"
     assert len(run.metrics()) == 10
     assert run.notices()[-1]["code"] == "rerun"
@@ -220,9 +218,134 @@ def test_a_viewer_that_hangs_holds_the_end_of_a_run_up_for_a_moment_only(
     release = threading.Event()
     monkeypatch.setattr(sink, "CLOSE_S", 0.1)
     monkeypatch.setattr(Follower, "follow", lambda self: iter([release.wait()]))
-    writer = RunWriter.create(store, "run", Config)
-    with Recorder(writer, RerunSink(writer.path)):
-        pass
+    run = recorded(store, "run", Config, [], RerunSink(store.path / "run"))
     release.set()
-    assert store.run("run").status.state == "finished"
-    assert store.run("run").notices()[-1]["code"] == "rerun"
+    assert run.status.state == "finished"
+    assert run.notices()[-1]["code"] == "rerun"
+
+
+# Viewers get what running runs write, whenever they come
+
+
+def rows(parts: Iterable[bytes], folder: Path, of: str) -> pd.DataFrame:
+    """What a viewer is sent of one entity; each part is a file of its own."""
+    found = []
+    for part in filter(None, parts):
+        (folder / "part.rrd").write_bytes(part)
+        table = logged(folder / "part.rrd", of)
+        found += [] if table.empty else [table]
+    return pd.concat(found)
+
+
+def test_a_viewer_that_comes_late_gets_the_whole_run(record, tmp_path: Path):
+    run = record()
+    parts, want = list(stream(run)), run.metrics()
+    table = rows(parts, tmp_path, "model/holdout_nll")
+    assert table["env_step"].tolist() == want["env_step"].tolist()
+    values = [value[0] for value in table["Scalars:scalars"]]
+    np.testing.assert_allclose(values, want["model/holdout_nll"])
+    assert len(rows(parts, tmp_path, "weights/profile")) == 10
+
+
+def test_a_stream_grows_with_the_run_and_ends_with_it(store: Store, tmp_path: Path):
+    recorder = Recorder(RunWriter.create(store, "run", Config))
+    given = events()
+    for event in given[:600]:
+        recorder.consume(event)
+    parts = stream(store.run("run"))
+    begun = store.run("run").profiles().env_step.tolist()
+    got: list[int] = []
+    while got != begun:
+        got += _steps(next(parts), tmp_path)
+    for event in given[600:]:
+        recorder.consume(event)
+    recorder.finish("finished")
+    for part in parts:
+        got += _steps(part, tmp_path)
+    assert got == store.run("run").profiles().env_step.tolist() != begun
+
+
+def test_of_a_run_that_has_nothing_yet_the_layout_is_streamed(record):
+    pieces = list(Follower(record(given=[])).pieces())
+    assert [piece[:4] for piece in pieces] == [b"RRF2"]
+
+
+def test_a_viewer_that_comes_late_gets_many_rows_in_one_chunk(record, tmp_path: Path):
+    run = record(given=[Metrics(step, {"model/train_nll": 1.0 / step}) for step in range(1, 201)])
+    (tmp_path / "run.rrd").write_bytes(b"".join(stream(run)))
+    chunks = [
+        chunk.to_record_batch()
+        for chunk in RrdReader(tmp_path / "run.rrd").stream()
+        if chunk.entity_path == "/model/train_nll"
+    ]
+    assert [chunk.num_rows for chunk in chunks] == [200]
+
+
+def _steps(part: bytes, folder: Path, of: str = "weights/profile") -> list[int]:
+    if not part:
+        return []
+    (folder / "part.rrd").write_bytes(part)
+    table = logged(folder / "part.rrd", of)
+    return [] if table.empty else table["env_step"].tolist()
+
+
+def test_a_tail_gives_each_whole_row_once(tmp_path: Path):
+    path = tmp_path / "m"
+    tail = Tail(path)
+    assert list(tail.blocks()) == []
+    path.write_bytes(b'{"env_step":1}\n{"env_st')
+    assert list(tail.blocks()) == [[{"env_step": 1}]]
+    assert list(tail.blocks()) == []
+    with path.open("ab") as file:
+        file.write(b'ep":2}\nrubbish\n{"env_step":3}\n')
+    assert list(tail.blocks()) == [[{"env_step": 2}, {"env_step": 3}]]
+
+
+def test_a_file_that_was_cut_is_read_from_its_beginning(tmp_path: Path):
+    path = tmp_path / "m"
+    path.write_text('{"env_step":1}\n{"env_step":2}\n{"env_step":3}\n')
+    tail = Tail(path)
+    assert len(next(iter(tail.blocks()))) == 3
+    path.write_text('{"env_step":1}\n{"env_step":2}\n')  # resumed from step 2
+    assert list(tail.blocks()) == [[{"env_step": 1}, {"env_step": 2}]]
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+def test_a_run_of_an_environment_that_nobody_knows__is_shown_but_for_its_robot(record):
+    run = record()
+    settings = run.config["config"] | {"env": "nosuch"}
+    change(run.path / "config.json", env="nosuch", config=settings)
+    assert sum(map(len, stream(RunReader(run.path)))) > 10_000
+
+
+# The viewer's files: a page that stays local, and no server left behind
+
+
+def test_the_page_asks_no_other_host():
+    page = b"""<html><head>
+      <link rel="preconnect" href="https://fonts.gstatic.com" crossorigin />
+      <link
+        href="https://fonts.googleapis.com/css2?family=Inter" rel="stylesheet" />
+      <link rel="icon" href="favicon.ico" /></head></html>"""
+    local = viewer.local_page(page)
+    assert b"fonts." not in local
+    assert b"favicon.ico" in local
+    assert local.index(b"window.fetch =") < local.index(b"favicon.ico")
+
+
+def test_the_viewer_is_unpacked_and_leaves_no_server_of_reruns(tmp_path: Path):
+    before = descendants(os.getpid())
+    viewer.unpack(tmp_path / "rerun")
+    assert {path.name for path in (tmp_path / "rerun").iterdir()} == set(viewer.FILES)
+    page = (tmp_path / "rerun" / viewer.PAGE).read_bytes()
+    assert b"googleapis" not in page
+    assert re.search(rb"<script>.*window.fetch = .*</script>", page, re.DOTALL)
+    assert (tmp_path / "rerun" / "re_viewer_bg.wasm").read_bytes().startswith(b"\0asm")
+    assert [path.name for path in tmp_path.iterdir()] == ["rerun"]
+    assert descendants(os.getpid()) <= before
+
+
+def test_rerun_sends_no_statistics(tmp_path: Path):
+    settings = Path(viewer.without_analytics(tmp_path)["XDG_CONFIG_HOME"]) / "rerun"
+    assert json.loads((settings / "analytics.json").read_text())["analytics_enabled"] is False
