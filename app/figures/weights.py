@@ -174,5 +174,6 @@ def over_fits(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
         figure.update_yaxes(matches=first, showticklabels=False, row=row)
         figure.update_yaxes(showticklabels=True, row=row, col=1)
     figure.update_yaxes(**AGES, ticks="", row=1)  # else Plotly draws ticks without labels at a map
-    figure.update_yaxes(title_text="return", row=2, col=1)
+    # Plotly finds no range by itself for linked axes beside others that are linked and have one.
+    figure.update_yaxes(autorange=True, row=2).update_yaxes(title_text="return", row=2, col=1)
     return note(figure, words + some)

@@ -36,8 +36,8 @@ from tom.machine import processes
 
 KEPT = "max-age=31536000, immutable"
 """how long a browser keeps what never changes at its address"""
-FIRST_S, SCENES_S = 10.0, 3.0
-"""how long the imports of other pages, and the 3D server, wait for the first drawing"""
+FIRST_S = 10.0
+"""how long the imports of other pages wait for the first drawing"""
 RESTART_S = 3.0
 """from the end of a 3D server to the next"""
 LARGEST_FIGURE = 20_000_000
@@ -215,7 +215,6 @@ def warm(links: Links) -> None:
     VIEWS[0].load()
     for run in readers.listing(links.store).runs:
         readers.metrics(run)
-    FIRST.wait(SCENES_S)
     Thread(target=keep_scenes, args=(links,), daemon=True).start()
     FIRST.wait(FIRST_S)
     for view in VIEWS:
