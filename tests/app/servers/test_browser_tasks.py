@@ -154,7 +154,7 @@ def test_a_region_is_seen_as_robots_and_brushed(page: "Page", own_store: Path) -
     before = page.url
     press(page.get_by_role("button", name="Heaviest 1 %"))
     page.wait_for_url(lambda url: "where=" in url and url != before)
-    wait_until_drawn(page.locator("iframe").first, 0.002)
+    page.frame_locator("iframe").first.get_by_text("Heavy and light").wait_for()
     press(page.get_by_role("button", name="Fit small models"))
     page.get_by_role("combobox", name="Brushed").wait_for(timeout=3000 * DRAWN_S)
     reports = [json.loads(path.read_text()) for path in own_store.glob("weighings/*/report.json")]
