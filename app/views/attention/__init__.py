@@ -263,10 +263,8 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
         version = run.version("profiles"), loop.version("metrics")
         figure = _MAPS.get((run.path, mode), drawn, version)
         label = "weight of each part of the buffer at every fit, and the returns below"
-        chart(
-            figure, "weight map", label, partial(_go_to, fits), follow=Follow(cursor=True),
-            after=SELECTOR,
-        )  # fmt: skip
+        to_fit = partial(_go_to, fits)
+        chart(figure, "weight map", label, to_fit, follow=Follow(cursor=True), after=SELECTOR)
         if run.small_copy and len(fits) >= FITS:
             st.caption(f"An example keeps {FITS} fits at most, spread over the run.")
     with right, st.container(border=True, height="stretch"):
