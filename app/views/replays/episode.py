@@ -172,7 +172,8 @@ def _curves(run: RunReader, replay: Replay, returns: np.ndarray, index: int, fra
             help="distance: root mean square over the observation's dimensions, each in standard "
             "deviations of its change in one step",
         )
-        chart(episode_curves(replay, frame, 170), "replay reward", "the episode's steps", mark)
+        label = "reward of each step of the episode, and the ghost's distance if it has one"
+        chart(episode_curves(replay, frame, 170), "replay reward", label, mark)
 
 
 def _choose_episode(point: Point) -> None:

@@ -52,6 +52,7 @@ def test_a_visit_to_every_page(visit: Visit, store: Path) -> None:
     visit.open("Replays", "replays")
     play_an_episode(page)
     see_it_in_rerun(page)
+    see_runs_side_by_side(page)
     visit.open("Findings", "findings")
     page.get_by_text("tom reproduce").first.wait_for()
     page.goto(f"{visit.links.address}/road?run={ROAD_TOM}")  # as older studios had it
@@ -90,6 +91,19 @@ def click_the_first_fit(page: "Page", store: Path) -> None:
     chosen, run = int(asked(page)["step"][0]), asked(page)["run"][0]
     assert chosen == RunReader(store / run).profiles().env_step[0]
     page.locator(".readout dd").first.get_by_text(f"{chosen:,}", exact=True).wait_for()
+
+
+def see_runs_side_by_side(page: "Page") -> None:
+    """The returns lie in the drawn part of their axes, which the weights' axes stand above."""
+    page.get_by_role("radio", name="Side by side").click()
+    chart = page.get_by_role("img", name="weights and return of the runs")
+    chart.locator(".nsewdrag").first.wait_for()
+    lines = chart.evaluate("""plot => plot._fullData.filter(t => t.name === "return").map(
+        ({ y, yaxis }) => [
+            plot._fullLayout[yaxis.replace("y", "yaxis")].range, Math.min(...y), Math.max(...y),
+        ])""")
+    assert len(lines) >= 2
+    assert all(low <= least <= most <= high for (low, high), least, most in lines)
 
 
 def keep_the_chosen_run(visit: Visit) -> None:
