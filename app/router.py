@@ -20,7 +20,6 @@ from app import session
 from app.data import readers
 from app.parts import address
 from app.theme import LEARNER_COLOURS, NEUTRAL, rgb
-from tom.errors import UserError
 from tom.learners import SUBJECT
 from tom.plugins.kept import PAGES, Page
 
@@ -96,7 +95,7 @@ def _read_ahead(run_id: str) -> None:
     def read() -> None:
         from app.data import buffer_map  # here: it imports torch
 
-        with suppress(UserError, OSError):  # pages say what cannot be read
+        with suppress(Exception):  # the page meets the same error, and shows it
             buffer_map.read_ahead(run)
 
     Thread(target=read, daemon=True).start()
