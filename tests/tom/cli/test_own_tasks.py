@@ -49,7 +49,7 @@ def test_a_task_and_a_rule_of_ones_own(home: Path):
     assert whole.config["config"]["model"]["termination"] == "own_tasks:fallen"
     assert whole.config["task"]["obs_scale"] == [1, 1, 8]
     assert whole.config["task"]["action_high"] == [2]
-    assert whole.metrics()["rollout/terminated"].to_numpy().max() > 0
+    assert (whole.metrics()["rollout/terminated"].to_numpy() > 0).any()
 
     (home / "imported").unlink()
     again, known = "train --resume parts --steps 400 --store runs", "--env own_tasks:Own-v0"
