@@ -57,6 +57,19 @@ class Study:
     def question(self) -> str:
         return QUESTIONS.get(self.verb, "")
 
+    @property
+    def asked(self) -> str:
+        """What studies of one question have in common; other studies stand alone."""
+        return self.verb if self.question else self.name
+
+    @property
+    def measured(self) -> str:
+        """What tells it from the others of its question: its name's ending, and its numbers."""
+        ending = self.name.removeprefix(self.asked).strip("-").replace("-", " ")
+        # Of returns the number of runs is known, of other studies their names.
+        number = self.origin.get("n", f"{self.origin.get('runs', '?')} runs")
+        return ", ".join(filter(None, (ending, number)))
+
 
 def folders(store: Path | str) -> tuple[Path, ...]:
     """The folders of studies: those of this machine, then those in the store."""

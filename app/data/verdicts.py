@@ -310,14 +310,14 @@ def symbol(way: str) -> str:
 def every_ways(listed: Sequence[Study]) -> dict[str, Verdict]:
     """`EVERY_WAY` answered by each footprint study with the capacity study whose name ends alike.
 
-    By that ending: `footprint` goes with `capacity`, `footprint-ways` with `capacity-ways`. What
-    counts are the moments that both have; without any there is no answer.
+    By the name of the latter: `footprint` goes with `capacity`, `footprint-ways` with
+    `capacity-ways`. What counts are the moments that both have; without any there is no answer.
     """
     alike: dict[str, dict[str, Study]] = {}
     for study in listed:
         alike.setdefault(study.name.removeprefix(study.verb), {}).setdefault(study.verb, study)
     found = {}
-    for ending, of in alike.items():
+    for of in alike.values():
         with suppress(KeyError, ValueError):  # one is not computed, or tables of another version
             near, errs = (_tables(of[name])["moments"] for name in ("footprint", "capacity"))
             shared = {*map(trial_of, near)} & {*map(trial_of, errs)}
@@ -329,7 +329,9 @@ def every_ways(listed: Sequence[Study]) -> dict[str, Verdict]:
             one_sided = {row["way"] for row in near} ^ {row["way"] for row in errs}
             if panels:
                 caption = _caption(panels, one_sided)
-                found[ending] = Verdict(*_answer(panels), panels=panels, caption=caption)
+                found[of["capacity"].name] = Verdict(
+                    *_answer(panels), panels=panels, caption=caption
+                )
     return found
 
 

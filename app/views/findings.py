@@ -31,15 +31,18 @@ LISTED = 200
 
 
 def page(scope: Scope) -> None:
-    """A card for each question that a study answers; one study whole; how to compute the others."""
+    """A card for each question that studies answer; one study whole; how to compute the others."""
     listed = studies.listing(*studies.folders(session.links().store))
     by_name = {study.name: study for study in listed}
     if listed:
-        chosen = address.choose_part([EVERY, *by_name], "study", "Study")
-        if chosen == EVERY:
-            _cards(listed)
+        opened = address.value_of("study", lambda given: "".join(given[-1:]))
+        if opened in by_name:
+            asked = by_name[opened].asked
+            alike = [study.name for study in listed if study.asked == asked]
+            _whole(by_name[address.choose_part([EVERY, *alike], "study", "Study")])
         else:
-            _whole(by_name[chosen])
+            address.keep("study", [])
+            _cards(listed)
     else:
         st.info(f"No study has been computed yet: none lies in `{studies.FOLDER.absolute()}`.")
     others = [name for name in QUESTIONS if name not in by_name]
@@ -49,24 +52,40 @@ def page(scope: Scope) -> None:
 
 
 def _cards(listed: Sequence[Study]) -> None:
-    """All ways of weighing on two axes, where both studies are known; then each study."""
-    for ending, found in every_ways(listed).items():
+    """All ways of weighing on two axes, where both studies are known; then each question."""
+    both = every_ways(listed)
+    if both:
         with st.container(border=True):
             st.header(EVERY_WAY, anchor=False)
-            if ending:
-                st.caption(text.markdown(f"footprint{ending}, capacity{ending}"))
-            key = f"every way{ending}"
+            study = _chosen([study for study in listed if study.name in both], "ways")
+            found = both[study.name]
             label = "every way of weighing: distance to the policy, and its model's error"
             with _judged(found):
                 chart(
-                    two_axes(found.panels, 430, key), key, label,
+                    two_axes(found.panels, 430, study.name), f"every way {study.name}", label,
                     caption=f"{EVERY_WAY} {found.sentence} {found.caption}",
                 )  # fmt: skip
                 st.caption(text.markdown(found.caption), width=WIDE)
     grid = st.container(horizontal=True, key="grid")
+    alike: dict[str, list[Study]] = {}
     for study in listed:
+        alike.setdefault(study.asked, []).append(study)
+    for asked, of in alike.items():
         with grid, st.container(border=True, height="stretch"):
-            _card(study)
+            head = st.container()
+            _card(_chosen(of, asked), head)
+
+
+def _chosen(alike: Sequence[Study], key: str) -> Study:
+    """The study that the user has chosen of those that answer one question."""
+    if len(alike) == 1:
+        return alike[0]
+    by_name = {study.name: study for study in alike}
+    name = address.choose_one(
+        st.selectbox, "Measured on", [*by_name], key, alike[0].name,
+        lambda name: by_name[name].measured,
+    )  # fmt: skip
+    return by_name[name]
 
 
 def _judged(found: Verdict) -> DeltaGenerator:
@@ -79,7 +98,7 @@ def _judged(found: Verdict) -> DeltaGenerator:
     return place
 
 
-def _card(study: Study) -> None:
+def _card(study: Study, head: DeltaGenerator) -> None:
     """The question, a verdict in a word and a sentence, its figure, and what speaks against it.
 
     A study without a rule for a verdict has the first sentence of its report; without a figure of
@@ -87,10 +106,7 @@ def _card(study: Study) -> None:
     """
     found = verdict(study)
     asked = question(study, found)
-    st.header(text.markdown(asked or study.name), anchor=False)
-    if asked and study.name != study.verb:
-        st.caption(text.markdown(study.name))
-
+    head.header(text.markdown(asked or study.name), anchor=False)
     if found is not None:
         place = _judged(found)
     else:
@@ -129,14 +145,11 @@ def _whole(study: Study) -> None:
     if study.report is not None:
         where = f"reports/{quote(study.name)}"
         head[1].link_button("Whole report", where, icon=":material/open_in_new:", width="stretch")
-    left, right = st.columns([2, 3])
     if study.claim:
-        with left, st.container(border=True):
-            st.markdown(f"**The paper.** {text.markdown(study.claim)}")
+        st.markdown(f"**The paper.** {text.markdown(study.claim)}", width=WIDE)
     if study.findings:
-        with right, st.container(border=True):
-            lines = "".join(f"\n- {text.markdown(line)}" for line in study.findings)
-            st.markdown(f"**Found here.**\n{lines}")
+        lines = "".join(f"\n- {text.markdown(line)}" for line in study.findings)
+        st.markdown(f"**Found here.**\n{lines}", width=WIDE)
     _command(study, "The command that made it")
     if "command" in study.origin:
         made = [study.origin[name] for name in ("n", "made", "machine") if name in study.origin]

@@ -140,8 +140,10 @@ def test_a_way_stands_at_its_mean_over_recordings_with_their_spread():
     errs = read("capacity", "moments").pivot(index=KEY, columns="way")["error 200 x 4"]
     errs = errs.div(errs["uniform"], axis=0).apply(np.log)
     n = errs.groupby(level="env").size()
-    assert {panel.env for panel in every_ways(studies.listing(GALLERY))[""].panels} == {*n.index}
-    for panel in every_ways(studies.listing(GALLERY))[""].panels:
+    assert {panel.env for panel in every_ways(studies.listing(GALLERY))["capacity"].panels} == {
+        *n.index
+    }
+    for panel in every_ways(studies.listing(GALLERY))["capacity"].panels:
         assert panel.moments == n[panel.env]
         assert {way for way, *_ in panel.ways} == {*near} & {*errs}
         for way, distance, error in panel.ways:
@@ -163,12 +165,14 @@ def test_the_answer_is_yes_where_a_way_is_better_on_both_axes(
     table = pd.read_csv(tmp_path / "capacity" / "moments.csv")
     table.loc[table["way"] != "uniform", "error 200 x 4"] *= error
     table.to_csv(tmp_path / "capacity" / "moments.csv", index=False)
-    found = every_ways(studies.listing(tmp_path))[""]
+    found = every_ways(studies.listing(tmp_path))["capacity"]
     assert found.word == word
     assert "VaGram" in found.caption  # no model was fitted with its weights
     near = pd.read_csv(tmp_path / "footprint" / "moments.csv")
     near[near["env"] == "hopper"].to_csv(tmp_path / "footprint" / "moments.csv", index=False)
-    assert [panel.env for panel in every_ways(studies.listing(tmp_path))[""].panels] == ["hopper"]
+    assert [panel.env for panel in every_ways(studies.listing(tmp_path))["capacity"].panels] == [
+        "hopper"
+    ]
     (tmp_path / "footprint" / "moments.csv").write_text("way\nuniform\n")  # of another version
     assert not every_ways(studies.listing(tmp_path))
 
@@ -177,5 +181,5 @@ def test_studies_whose_names_end_alike_belong_together(tmp_path: Path):
     for name, ending in (("footprint", ""), ("footprint", "-b"), ("capacity", "-b")):
         shutil.copytree(GALLERY / name, tmp_path / f"{name}{ending}")
     listed = studies.listing(tmp_path)
-    assert [*every_ways(listed)] == ["-b"]
-    assert every_ways(listed)["-b"] == every_ways(studies.listing(GALLERY))[""]
+    assert [*every_ways(listed)] == ["capacity-b"]
+    assert every_ways(listed)["capacity-b"] == every_ways(studies.listing(GALLERY))["capacity"]

@@ -100,7 +100,7 @@ def test_all_ways_are_drawn_once_both_studies_are_there(
     shutil.copytree(GALLERY / "capacity", tmp_path / "reports" / "capacity")
     app = draw("findings")
     assert len(app.header) == 3
-    found = present(every_ways(studies.listing(studies.FOLDER)).get(""))
+    found = present(every_ways(studies.listing(studies.FOLDER)).get("capacity"))
     ways = [one for panel in found.panels for one in panel.ways]
     drawn = figures(app)[0]["data"]
     assert [(*trace["x"], *trace["y"]) for trace in drawn] == [
@@ -108,6 +108,21 @@ def test_all_ways_are_drawn_once_both_studies_are_there(
     ]
     named = [trace["name"] for trace in drawn if trace["showlegend"]]
     assert sorted(named) == sorted({trace["name"] for trace in drawn})
+
+
+def test_studies_of_one_question_share_a_card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("capacity", "capacity-ways"):
+        shutil.copytree(GALLERY / name, tmp_path / "reports" / name)
+    app = draw("findings")
+    assert [card.value for card in app.header] == [studies.QUESTIONS["capacity"]]
+    app.selectbox(key="capacity").select("capacity-ways").run()
+    assert "PMER" in app.header[0].value
+    assert app.query_params["capacity"] == "capacity-ways"
+    app.button(key="open capacity-ways").click().run()
+    assert app.button_group(key="study").options[1:] == ["capacity", "capacity-ways"]
+    app.button_group(key="study").set_value("Every question").run()
+    assert "study" not in app.query_params
 
 
 def test_a_study_without_toms_weights_asks_about_the_ways_that_it_has() -> None:
