@@ -83,7 +83,7 @@ def _chosen(alike: Sequence[Study], key: str) -> Study:
     by_name = {study.name: study for study in alike}
     name = address.choose_one(
         st.selectbox, "Measured on", [*by_name], key, alike[0].name,
-        lambda name: by_name[name].measured,
+        lambda name: by_name[name].measured, width=400,
     )  # fmt: skip
     return by_name[name]
 

@@ -69,11 +69,16 @@ def _free(joints: Sequence[str]) -> tuple[str, ...]:
     return (*pose, *angles, *motion, *spin, *(f"{j} angular velocity" for j in joints))
 
 
+def _torques(joints: Sequence[str]) -> tuple[str, ...]:
+    return tuple(f"{j} torque" for j in joints)
+
+
 def _without(*parts: str) -> Mapping[str, bool]:
     return MappingProxyType({f"include_{part}_in_observation": False for part in parts})
 
 
 _LEG = ("thigh", "leg", "foot")
+_LEGS = tuple(f"{side} {part}" for side in ("right", "left") for part in _LEG)
 _CHEETAH = tuple(
     f"{side} {part}" for side in ("back", "front") for part in ("thigh", "shin", "foot")
 )
@@ -98,6 +103,7 @@ TASKS = (
         nq=2,
         action_dim=1,
         obs_names=("cart x", "pole angle", "cart velocity", "pole angular velocity"),
+        action_names=("cart force",),
     ),
     MujocoTask(
         name="hopper",
@@ -108,6 +114,7 @@ TASKS = (
         nq=6,
         action_dim=3,
         obs_names=_planar(_LEG),
+        action_names=_torques(_LEG),
         of_paper=True,
     ),
     MujocoTask(
@@ -118,7 +125,8 @@ TASKS = (
         root_dims=1,
         nq=9,
         action_dim=6,
-        obs_names=_planar([f"{side} {part}" for side in ("right", "left") for part in _LEG]),
+        obs_names=_planar(_LEGS),
+        action_names=_torques(_LEGS),
         of_paper=True,
     ),
     MujocoTask(
@@ -130,6 +138,7 @@ TASKS = (
         nq=9,
         action_dim=6,
         obs_names=_planar(_CHEETAH),
+        action_names=_torques(_CHEETAH),
         of_paper=True,
     ),
     MujocoTask(
@@ -141,6 +150,7 @@ TASKS = (
         nq=15,
         action_dim=8,
         obs_names=_free(_ANT),
+        action_names=_torques((*_ANT[6:], *_ANT[:6])),
         kwargs=_without("cfrc_ext"),
         of_paper=True,
     ),
@@ -153,6 +163,7 @@ TASKS = (
         nq=24,
         action_dim=17,
         obs_names=_free(_HUMANOID),
+        action_names=_torques(("abdomen y", "abdomen z", "abdomen x", *_HUMANOID[3:])),
         kwargs=_without("cinert", "cvel", "qfrc_actuator", "cfrc_ext"),
         of_paper=True,
     ),

@@ -20,11 +20,12 @@ class Task:
     """A task; agents act in [-1, 1].
 
     `terminated` ends modelled episodes; it is the task's own rule if `knows_ends`, else it never
-    ends one. `steps` is the length of a training; `obs_names` names the O dimensions. A MuJoCo task
-    has `nq` joint positions. With `root_dims` an observation is qpos without that many leading
-    entries (the position on the ground), then qvel. With `keeps_states` observations have another
-    form, and the simulator's state is recorded with every row. `settings` change the presets.
-    `notices` (code and text) are about the task itself (`tom.data.card`).
+    ends one. `steps` is the length of a training; `obs_names` names the O dimensions, and
+    `action_names`, where they are known, the A of an action. A MuJoCo task has `nq` joint
+    positions. With `root_dims` an observation is qpos without that many leading entries (the
+    position on the ground), then qvel. With `keeps_states` observations have another form, and the
+    simulator's state is recorded with every row. `settings` change the presets. `notices` (code and
+    text) are about the task itself (`tom.data.card`).
     """
 
     name: str
@@ -32,6 +33,7 @@ class Task:
     steps: int
     action_dim: int
     obs_names: tuple[str, ...]
+    action_names: tuple[str, ...] = ()
     max_episode_steps: int = 1000
     nq: int = 0
     root_dims: int | None = None

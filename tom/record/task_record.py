@@ -120,7 +120,8 @@ def dimension_names(
     o, a = np.shape(rows.obs)[1], np.shape(rows.action)[1]
     named = ("x", "y") if env == ROAD else ENVS[env].obs_names if env in ENVS else described
     names = list(named) if len(named) == o else [f"observation {i + 1}" for i in range(o)]
-    return names, [f"action {i + 1}" for i in range(a)]
+    actions = ENVS[env].action_names if env in ENVS else ()
+    return names, list(actions) or [f"action {i + 1}" for i in range(a)]
 
 
 def seconds(run: RunReader) -> float:

@@ -62,12 +62,14 @@ def test_names_follow_the_order_of_the_joints(name):
     t = ENVS[name]
     model = simulator(t.make()).model
     joints = [model.joint(j).name for j in range(model.njnt)]
-    hinges = joints[1 if name in ("ant", "humanoid") else 3 :]
     if name == "halfcheetah":
-        hinges = [{"b": "back ", "f": "front "}[j[0]] + j[1:] for j in hinges]
+        joints = [{"b": "back ", "f": "front "}.get(j[0], "") + j[1:] for j in joints]
+    hinges = joints[1 if name in ("ant", "humanoid") else 3 :]
     for part in ("angle", "angular velocity"):
         named = [n.removesuffix(part) for n in t.obs_names if n.endswith(part) and "torso" not in n]
         assert [words(n) for n in named] == [words(j) for j in hinges]
+    moved = [joints[j] for j in model.actuator_trnid[:, 0]]
+    assert [words(n) - {"torque"} for n in t.action_names] == [words(j) for j in moved]
 
 
 def words(name: str) -> set[str]:
