@@ -1,6 +1,7 @@
 """The results of `tom weigh` and `tom brush`: of runs' buffers, and of data sets beside them."""
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -149,6 +150,12 @@ class Weighing:
         return self.report["step"] if self.counted_by_step else self.rows
 
     @property
+    def policy(self) -> str:
+        """Whose policy it weighs for, in words."""
+        name = self.report["policy"]
+        return "its own policy" if name == self.report["data"] else f"the policy of {name}"
+
+    @property
     def settings(self) -> str:
         """TOM's settings of the weighing, in words."""
         preset = self.report["preset"]
@@ -255,6 +262,16 @@ def of_run(run: RunReader, rows: int, *, brush: bool = False) -> list[Weighing]:
 def every(run: RunReader, rows: int) -> list[Weighing]:
     """Those of `of_run`; in front of them the live weights of a loop's buffer, if it has any."""
     return [*(live_weights(run) if run.own_loop else ()), *of_run(run, rows)]
+
+
+def called(found: Sequence[Weighing]) -> dict[str, str]:
+    """`step 30,000, by its own policy` for each name; with the name where several are alike."""
+    words = {
+        one.name: f"{'all rows' if one.step is None else f'step {one.step:,}'}, by {one.policy}"
+        for one in found
+    }
+    shared = Counter(words.values())
+    return {name: of if shared[of] == 1 else f"{of}: {name}" for name, of in words.items()}
 
 
 def live_weights(run: RunReader) -> list[Weighing]:

@@ -34,10 +34,10 @@ FOOTPRINT = st.column_config.TextColumn(
 COLUMNS = {
     "ESS": ("ess", "percent", "effective sample (sum w)² / sum w², of the buffer"),
     "weight 0": ("zeros", "percent", "share of transitions with weight zero"),
-    "random": ("random_mean", "%.3g", "mean weight of the random data"),
-    "newest": ("last_two", "%.3g", "mean weight of the newest tenth of the buffer"),
+    "random": ("random_mean", "%.2f", "mean weight of the random data"),
+    "newest": ("last_two", "%.2f", "mean weight of the newest tenth of the buffer"),
     "trend": (
-        "spearman", "%.3g",
+        "spearman", "%.2f",
         "rank correlation of the tenths of the ordered part with their order: 1 when newer counts "
         "more throughout",
     ),
@@ -66,8 +66,10 @@ def draw(scope: Scope) -> None:
     else:
         found = {one.name: one for one in weighings.every(run, rows)}
         if found:
+            shown = weighings.called([*found.values()])
             chosen = address.choose_one(
                 left.selectbox, "Weighed", list(found), "weighed", next(iter(found)),
+                shown.__getitem__,
                 help="live weights of a loop of your own; results of `tom weigh`, newest first",
             )  # fmt: skip
             _weighed(found[chosen], rows)
@@ -103,8 +105,7 @@ def _weighed(weighing: Weighing, rows: int) -> None:
         st.markdown(text.unbroken(sentence))
     with st.container(border=True):
         st.markdown(
-            f"**By the policy of {text.markdown(weighing.report['policy'])}**: the dotted line "
-            "ends the random data"
+            f"**By {text.markdown(weighing.policy)}**: the dotted line ends the random data"
         )
         share = weighing.ordered_from / len(next(iter(of.values())))
         figure = probe_profiles(weighings.profiles(of), share, 400, keep=weighing.name)
