@@ -206,7 +206,6 @@ def test_the_timeline_moves_numbers_and_profile_before_the_server_hears_of_it(
     page.get_by_role("button", name="Play", exact=True).wait_for()  # and no longer Pause
 
 
-@pytest.mark.quick
 def test_back_takes_back_one_choice_after_the_other(visit: Visit) -> None:
     page = visit.page
     page.goto(visit.links.opened(START))
@@ -270,7 +269,6 @@ def on_the_server(store: Path, where: list[str], outline: list[str]) -> list[int
     return (source.first + np.flatnonzero(mask)).tolist()
 
 
-@pytest.mark.quick
 def test_browser_and_server_choose_the_same_rows(visit: Visit, store: Path) -> None:
     sizes = set()
     for case in CASES:
