@@ -165,6 +165,7 @@ def test_studies_that_came_with_the_store_are_shown_and_ones_own_before_them(
     assert not readers.listing(str(shipped.parent)).problems  # and they are no broken runs
 
 
+@pytest.mark.slow
 def test_a_study_is_run_from_the_page_and_one_that_fails_says_why(
     own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -74,6 +74,7 @@ def test_what_is_finished_survives_a_killed_process(tmp_path: Path):
     assert len(list((tmp_path / FOLDER).iterdir())) == 3
 
 
+@pytest.mark.slow
 def test_other_code_computes_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     log = tmp_path / "log"
     assert [one.text for one in each(write, [Step("a", log)], 1, tmp_path)] == ["aa"]
