@@ -42,6 +42,15 @@ SEEN = """() => {
     return false;
 }"""
 """whether a ring tells where the focus is, or the mark of a text"""
+CALM = """() => new Promise(resolve => {
+    let timer = setTimeout(resolve, 500);
+    new MutationObserver(() => {
+        clearTimeout(timer);
+        timer = setTimeout(resolve, 500);
+    }).observe(document.body, { subtree: true, childList: true });
+})"""
+"""waits until half a second has passed without a change of the page: a box that is drawn again
+drops what was typed"""
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +95,8 @@ def press(element: "Locator", key: str = "Enter") -> None:
 
 
 def choose(page: "Page", label: str, option: str) -> None:
-    """Type an option of a select box, and take it."""
+    """Type an option of a select box, and take it, once nothing on the page changes any more."""
+    page.evaluate(CALM)
     reach(page.get_by_role("combobox", name=label).first)
     page.keyboard.type(option)
     page.get_by_role("option", name=option, exact=True).first.wait_for()
