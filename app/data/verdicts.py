@@ -1,10 +1,9 @@
 """The answer of a study's tables to its question: a word by a stated rule, and what is against it.
 
-One question is answered by two studies together: `every_ways`.
-
 The rule: a group differs if its 95 % interval leaves out the level of no difference; without an
 interval, as where a task has one recording, if p is below .05 after correction (Bonferroni's, or
-the table's own). A study that has an acceptance is judged by how many of its numbers are met.
+the table's own). A study that has an acceptance is judged by how many of its numbers are met; one
+question is answered by two studies together (`every_ways`).
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -159,18 +158,20 @@ def _improvement(tables: Tables) -> Verdict:
     for row in table:
         row["what"] = row["what"].replace(difference, LABELS.get(row["way"], row["way"]))
         row["share"] = row["better in trials"] / row["n"]
-    trials = [f"{row['what']} in {row['better in trials']:.0f} of {row['n']:.0f}" for row in table]
+    trials = [
+        f"{row['better in trials']:.0f} of {row['n']:.0f} trials ({row['what']})"
+        for row in sorted(table, key=lambda row: row["share"])
+    ]
     sentence = (
-        "After one fit, the policy returned more than with uniform weights, of equal trials: "
-        f"{', '.join(trials)} (least p {min(row['p'] for row in table):.2g})."
+        f"After one fit, the policy returned more than with uniform weights in {trials[0]} to "
+        f"{trials[-1]}; the least p of {len(table)} tests is {min(r['p'] for r in table):.2g}."
     )
     against = (
         f"At most {max(row['recordings'] for row in table):.0f} recordings count in a test: only "
         "a large effect of weights could have been seen."
     )
     points = [_point(row["what"], "", row, "share") for row in table]
-    axis = "share of trials that return more"
-    return Verdict(word_of(sides), sentence, against, axis, 0.5, points)
+    return Verdict(word_of(sides), sentence, against, "share of trials returning more", 0.5, points)
 
 
 def _returns(tables: Tables) -> Verdict:
@@ -308,10 +309,9 @@ def symbol(way: str) -> str:
 
 
 def every_ways(listed: Sequence[Study]) -> dict[str, Verdict]:
-    """`EVERY_WAY` answered by each footprint study with the capacity study whose name ends alike.
+    """`EVERY_WAY` by the name of a capacity study, with the footprint study that ends alike.
 
-    By the name of the latter: `footprint` goes with `capacity`, `footprint-ways` with
-    `capacity-ways`. What counts are the moments that both have; without any there is no answer.
+    What counts are the moments of both; without any there is no answer.
     """
     alike: dict[str, dict[str, Study]] = {}
     for study in listed:
@@ -328,10 +328,8 @@ def every_ways(listed: Sequence[Study]) -> dict[str, Verdict]:
             panels = [panel for panel in every if len(panel.ways) > 1]
             one_sided = {row["way"] for row in near} ^ {row["way"] for row in errs}
             if panels:
-                caption = _caption(panels, one_sided)
-                found[of["capacity"].name] = Verdict(
-                    *_answer(panels), panels=panels, caption=caption
-                )
+                name, caption = of["capacity"].name, _caption(panels, one_sided)
+                found[name] = Verdict(*_answer(panels), panels=panels, caption=caption)
     return found
 
 
