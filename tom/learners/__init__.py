@@ -141,7 +141,6 @@ LEARNERS: dict[str, LearnerEntry] = {
     ),
 }
 
-LEARNER_NAMES: tuple[str, ...] = tuple(LEARNERS)
 SUBJECT = "tom"
 """the main learner of this program, and the default selection of pages"""
 WEIGHED_FIRST = (SUBJECT, "pmac", "mle")

@@ -20,7 +20,7 @@ from tom.exams.exam import (
     model_metrics,
     returns_to_go,
 )
-from tom.learners import LEARNER_NAMES
+from tom.learners import LEARNERS
 from tom.mbpo import Mbpo
 
 
@@ -224,7 +224,7 @@ def test_the_weights_that_are_examined_are_the_fits():
         *(
             pytest.param(changes, marks=pytest.mark.slow)
             for changes in (
-                *({"learner": name} for name in LEARNER_NAMES),
+                *({"learner": name} for name in LEARNERS),
                 {"model": {"kind": "ensemble"}},
             )
         ),

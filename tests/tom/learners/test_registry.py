@@ -6,7 +6,7 @@ from common import generator, online, present
 from made import ACTION, OBS, QUICK, LinearGaussian, context, rows
 
 from tom.config import ModelConfig, OnlineConfig, RolloutConfig
-from tom.learners import LEARNER_NAMES, LEARNERS, make_learner
+from tom.learners import LEARNERS, make_learner
 from tom.learners.base import Weighting, heavy_row
 from tom.training.presets import resolve
 
@@ -18,7 +18,7 @@ def config(name: str) -> OnlineConfig:
     return online("hopper", name, {"tom": QUICK.model_dump()}, "paper")
 
 
-@pytest.mark.parametrize("name", LEARNER_NAMES)
+@pytest.mark.parametrize("name", LEARNERS)
 def test_every_learner_weighs_a_buffer(name):
     learner = make_learner(name, config(name), OBS, ACTION, generator())
     version = torch.arange(100) // 25
@@ -42,7 +42,7 @@ def test_every_learner_weighs_a_buffer(name):
 
 
 @pytest.mark.parametrize("lacks", ["value", "steps"])
-@pytest.mark.parametrize("name", LEARNER_NAMES)
+@pytest.mark.parametrize("name", LEARNERS)
 def test_weights_are_uniform_until_there_is_what_a_learner_follows(name: str, lacks: str):
     learner = make_learner(name, config(name), OBS, ACTION, generator())
     behaviour = torch.randn(100, 2 * ACTION, generator=generator())

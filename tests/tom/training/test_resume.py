@@ -19,7 +19,7 @@ from tom.data.transitions import Transitions
 from tom.envs import task
 from tom.errors import UserError
 from tom.events import Collected, Event, Tick
-from tom.learners import LEARNER_NAMES
+from tom.learners import LEARNERS
 from tom.policy.stored import StoredPolicy
 from tom.record import RunReader, Store
 from tom.record.writer import RunWriter
@@ -100,7 +100,7 @@ SOON = {
 """settings by which learners have weights before the stop"""
 
 
-@pytest.mark.parametrize("learner", LEARNER_NAMES)
+@pytest.mark.parametrize("learner", LEARNERS)
 @pytest.mark.parametrize(
     "env", [pytest.param("hopper", marks=pytest.mark.slow), "inverted-pendulum"]
 )
@@ -149,7 +149,7 @@ def test_a_run_whose_buffer_holds_less_than_its_exploration_goes_on(stop: int):
     "learner",
     [
         pytest.param(name, marks=() if name == "tom" else pytest.mark.slow)
-        for name in LEARNER_NAMES
+        for name in LEARNERS
         if name in learners("road-and-rocks")
     ],
 )
