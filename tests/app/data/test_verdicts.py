@@ -73,6 +73,9 @@ def test_no_trial_s_share_is_beyond_chance():
     table = read("improvement", "summary").dropna(subset="p")
     shares = table["better in trials"] / table["n"]
     assert [point.value for point in found.points] == pytest.approx([*shares])
+    better = table["better in trials"].astype(int)
+    assert f" {better.min()} of 44 " in found.sentence
+    assert f" {better.max()} of 44 " in found.sentence
 
 
 @pytest.mark.parametrize(
