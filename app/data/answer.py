@@ -208,11 +208,15 @@ def helps(one: Side, other: Side) -> Answer:
         return Answer(
             "unknown", "Cannot be told yet", f"{empty.name} has not been evaluated yet. {error}"
         )  # fmt: skip
-    until = scores.common_step([curve for curves in pairs for curve in curves])
-    final = [scores.scores_of(curves, scores.FINAL, until) for curves in pairs]
-    final = [values[np.isfinite(values)] for values in final]
-    if not all(map(len, final)):
+    until = scores.common_step(curve for curves in pairs for curve in curves)
+    begun = [[curve for curve in curves if scores.begun([curve], until)] for curves in pairs]
+    if not all(begun):
         return Answer("unknown", "Cannot be told yet", f"The runs share no step yet. {error}")
+    since = scores.common_start(curve for curves in begun for curve in curves)
+    final, *others = (
+        [scores.scores_of(curves, name, until, since) for curves in begun]
+        for name in (scores.FINAL, scores.BEST, scores.HEIGHT)
+    )
     means = [score(float(values.mean())) for values in final]
     counts = f"{len(final[0])} and {len(final[1])} runs"
     at = f"at step {until:,.0f}"
@@ -224,10 +228,9 @@ def helps(one: Side, other: Side) -> Answer:
             f"({counts}). {error}",
             f"{RANKED} seeds of each would tell.",
         )  # fmt: skip
-    beats, p = (
-        statistics.probability_of_improvement(final[:1], final[1:]),
-        statistics.exchangeable(final[:1], final[1:]),
-    )
+    beats = statistics.probability_of_improvement(final[:1], final[1:])
+    ps = [statistics.exchangeable(of[:1], of[1:]) for of in (final, *others)]
+    p, of_all = ps[0], statistics.corrected(ps)[0]
     chance = f"{10 * beats.value:.0f} times in 10 (p {p:.2g}, {counts})"
     sentence = (
         f"{at.capitalize()} {one.name} returns **{means[0]}** on average and {other.name} "
@@ -235,10 +238,13 @@ def helps(one: Side, other: Side) -> Answer:
     )
     if p >= SIGNIFICANT:
         return Answer("unclear", "Not clearly", sentence)
-    more = "The p is of this score at this step alone; Curves, Statistics, has the others."
+    comes_out = "more" if beats.value > 0.5 else "less"
+    corrected = f"Corrected for the three scores of Curves, Statistics, p is {of_all:.2g}."
+    if of_all >= SIGNIFICANT:
+        return Answer("unclear", f"Perhaps, it returns {comes_out}", sentence, corrected)
     if beats.value > 0.5:
-        return Answer("yes", "Yes, it returns more", sentence, more)
-    return Answer("no", "No, it returns less", sentence, more)
+        return Answer("yes", "Yes, it returns more", sentence, corrected)
+    return Answer("no", "No, it returns less", sentence, corrected)
 
 
 def _error(one: Side, other: Side) -> str:

@@ -154,6 +154,15 @@ def test_five_seeds_that_all_win_help_and_four_cannot_tell():
     assert answer.helps(side(high[:4]), side(low)).word == "unknown"
 
 
+def test_what_three_scores_of_few_seeds_could_show_by_chance_is_no_yes():
+    """Of 252 arrangements of five and five 8 are as far from a half as 23 wins of 25: p .032."""
+    ours, theirs = [5.0, 7, 8, 9, 10], [1.0, 2, 3, 6, 6.5]
+    found = answer.helps(side(ours), side(theirs))
+    assert found.word == "unclear"
+    assert "p 0.032" in found.sentence
+    assert "0.095" in found.more
+
+
 @pytest.mark.parametrize(("newest", "word"), [(0.6, "yes"), (0.05, "no"), (0.2, "unclear")])
 def test_where_it_looks(newest: float, word: str):
     assert answer.where(side([1.0, 2.0], newest)).word == word
