@@ -241,7 +241,7 @@ def helps(one: Side, other: Side) -> Answer:
     comes_out = "more" if beats.value > 0.5 else "less"
     corrected = f"Corrected for the three scores of Curves, Statistics, p is {of_all:.2g}."
     if of_all >= SIGNIFICANT:
-        return Answer("unclear", f"Perhaps, it returns {comes_out}", sentence, corrected)
+        return Answer("unclear", f"Perhaps it returns {comes_out}", sentence, corrected)
     if beats.value > 0.5:
         return Answer("yes", "Yes, it returns more", sentence, corrected)
     return Answer("no", "No, it returns less", sentence, corrected)

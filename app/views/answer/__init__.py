@@ -7,13 +7,14 @@ import numpy as np
 import streamlit as st
 
 from app import session, text
-from app.data import answer, buffer, readers
+from app.data import answer, buffer, readers, road
 from app.data.answer import Answer, Side, newest_share
 from app.data.cache import VersionedCache
 from app.data.called import task
 from app.data.exams import exams_of
 from app.figures.base import across
 from app.figures.curves import group_curves
+from app.figures.road import road_map
 from app.parts import address, start, widgets
 from app.parts.plot import Drawn, Follow, chart
 from app.parts.scope import Scope
@@ -28,7 +29,7 @@ from tom.envs import ROAD
 from tom.record.reader import RunReader
 
 REFRESH_S = 5
-HEIGHT = 230
+HEIGHT, MAP_HEIGHT = 230, 280
 SIGNS = {"yes": ":material/check_circle:", "no": ":material/cancel:",
          "unclear": ":material/help:", "unknown": ":material/hourglass_empty:"}  # fmt: skip
 CARDS = (
@@ -37,6 +38,8 @@ CARDS = (
     ("Does it help?", "curves", "return", None),
 )
 """the three cards: question, page behind, what is drawn, and the level without weights"""
+ON_ROAD = ("Where does it look?", "attention", "weight on the map, of one run", None)
+"""the first card of road-and-rocks"""
 
 
 Chart = tuple[Drawn, str]
@@ -101,10 +104,12 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
         for loop in runs
         for run in dict.fromkeys((loop, readers.weighed(loop)))
     )
-    key = tuple(fresh), frozenset((kind, scope.looks[kind]) for kind in kinds)
+    key = tuple(fresh), session.mode(), frozenset((kind, scope.looks[kind]) for kind in kinds)
     made = _MADE.get(key, lambda: _made(scope, fresh), version)
     grid = st.container(horizontal=True, key="cards")
-    for (question, link, what, _), (answered, drawn) in zip(CARDS, made, strict=True):
+    of_road = next(iter(fresh.values()))[0].env == ROAD
+    cards = (ON_ROAD, *CARDS[1:]) if of_road else CARDS
+    for (question, link, what, _), (answered, drawn) in zip(cards, made, strict=True):
         with grid, st.container(border=True, height="stretch"):
             st.subheader(question, anchor=False)
             st.markdown(f"#### {SIGNS[answered.word]} {text.markdown(answered.verdict)}")
@@ -124,7 +129,10 @@ def _made(scope: Scope, fresh: Mapping[str, Sequence[RunReader]]) -> list[Card]:
     sides = [_side(title, runs) for title, runs in fresh.items()]
     measured = zip(CARDS, _measured(scope, fresh, sides), strict=True)
     drawn = [_chart(scope, what, level, groups) for (_, _, what, level), groups in measured]
-    return list(zip(_answers(sides, next(iter(fresh.values()))), drawn, strict=True))
+    mine = next(iter(fresh.values()))
+    if mine[0].env == ROAD and not sides[0].uniform:
+        drawn[0] = _map(mine)
+    return list(zip(_answers(sides, mine), drawn, strict=True))
 
 
 def _answers(sides: Sequence[Side], mine: Sequence[RunReader]) -> tuple[Answer, Answer, Answer]:
@@ -189,6 +197,17 @@ def _chart(scope: Scope, what: str, level: float | None, groups: Sequence[Group]
         f"interval, thin lines: single runs. {named}."
     )
     return Drawn.of(figure), caption
+
+
+def _map(runs: Sequence[RunReader]) -> Chart | None:
+    """Road and rocks with the weights of the first run that has them; None if none has."""
+    kept = (run for run in runs if buffer.has_rows(run))
+    for run, picture in ((run, road.fit(run, run.status.env_step)) for run in kept):
+        if picture is not None:
+            figure = road_map(picture, session.mode(), MAP_HEIGHT).update_layout(showlegend=False)
+            named = f"{learner_label(run.learner)}, seed {run.seed}, step {picture.step:,}"
+            return Drawn.of(figure), f"Mean weight in each part of the map: {named}."
+    return None
 
 
 def _side(title: str, loops: Sequence[RunReader]) -> Side:

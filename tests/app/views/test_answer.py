@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from studio_pages import Show, draw, plain
+from studio_pages import Show, array, draw, figures, plain, trace
 
 import tom
 from app.data import answer
@@ -175,6 +175,20 @@ def test_road_and_rocks_has_a_road_and_no_age(ratio: float, word: str):
     assert found.word == word
     assert "99 %" in found.sentence
     assert ("88" in found.sentence) == (ratio == 88)
+
+
+def test_road_and_rocks_has_the_map_of_a_run_that_keeps_its_rows(show: Show):
+    show(RUNS)
+    cells = array(trace(figures(draw("answer", task="road-and-rocks"))[0], type="heatmap")["z"])
+    kept = [path.parent for path in sorted(RUNS.glob("road-and-rocks-tom-s*/buffer"))]
+    rows = tom.load(kept[-1].name, store=RUNS).rows()
+    edges = np.linspace(0, 1, len(cells) + 1)
+    y, x = (np.clip(rows[f"obs_{i}"].to_numpy(), 0, 1 - 1e-9) for i in (1, 0))
+    count = np.histogram2d(y, x, (edges, edges))[0]
+    weight = np.histogram2d(y, x, (edges, edges), weights=rows["weight"].to_numpy())[0]
+    known = (count > 0) & (weight > 0)
+    octaves = np.clip(np.log2(weight[known] / count[known]), -4, 4)  # the ends of its scale
+    assert cells[known] == pytest.approx(octaves, abs=0.02)
 
 
 def test_a_learner_that_weighs_alike_looks_nowhere_and_has_no_footprint():
