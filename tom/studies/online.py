@@ -1,8 +1,9 @@
 """Where do the weights lie in the buffer as a run goes on?
 
-The profiles of several fits of the longest run of each environment and learner that the store has
-(the paper's appendix on online progression). Fits with uniform weights, before the learner begins
-to weigh, are left out, and so is MLE, which never weighs. Nothing is trained.
+The profiles of several fits of the longest run of each environment, learner and preset that the
+store has, with its preset's settings if there is one (the paper's appendix on online progression).
+Fits with uniform weights, before the learner begins to weigh, are left out, and so is MLE, which
+never weighs. Nothing is trained.
 """
 
 from argparse import ArgumentParser, Namespace
@@ -14,16 +15,16 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from tom.analysis.settings import changed
 from tom.envs import ENVS, ROAD, task_rank
-from tom.errors import UserError, check_known
+from tom.errors import UserError
 from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader, Store
 from tom.reports.figures import Panel, profile_figure
 from tom.reports.report import origin_of_runs
 from tom.spread import spread
 from tom.studies.returns_cells import PAPER_ENVS
-from tom.studies.study import Findings, Row, add_runs, tasks
-from tom.training.presets import PRESETS
+from tom.studies.study import Findings, Row, add_groups, add_runs, check_groups, tasks
 
 TITLE = "Weights as a run goes on"
 CLAIM = (
@@ -41,17 +42,18 @@ CAPTION = "Mean weight in each hundredth of the replay buffer, oldest transition
 
 def add_options(parser: ArgumentParser) -> None:
     add_runs(parser, ENVS, "[all of ours]")
-    parser.add_argument("--preset", default="paper", metavar="PRESET", help="[paper]")
+    add_groups(parser)
 
 
 def find(args: Namespace) -> Findings:
-    check_known("preset", [args.preset], PRESETS)
+    check_groups(args)
     envs = tasks(args.env)
-    found = panels([run for run in Store(args.store).runs() if run.env in envs], args.preset)
+    runs = [run for run in Store(args.store).runs() if run.env in envs]
+    found = panels([run for run in runs if run.learner in args.learner], args.preset)
     if not found:
         raise UserError(
             f"{args.store}/ has no such run that weighed its buffer: tom sweep --env "
-            f"{' '.join(envs)} --learner tom pmac vagram --preset {args.preset} makes them"
+            f"{' '.join(envs)} --learner tom pmac vagram --preset {args.preset[0]} makes them"
         )
     told = rows(found)
     return Findings(
@@ -67,25 +69,31 @@ class RunProfiles(NamedTuple):
     """The weight profiles of one run at F fits: `bins` (F, bins), oldest transitions first."""
 
     run: RunReader
+    label: str
     env_step: Array
     bins: Array
     ess: Array
 
 
-def panels(runs: Sequence[RunReader], preset: str) -> list[RunProfiles]:
-    """The longest run of each environment and learner, if it weighed, in the registry's order."""
-    longest: dict[tuple[str, str], RunReader] = {}
-    for run in sorted(runs, key=lambda run: (run.status.env_step, run.created)):
-        if run.preset == preset and run.env != ROAD and run.learner in LEARNERS:
-            longest[run.env, run.learner] = run
-    order = sorted(longest, key=lambda pair: (task_rank(pair[0]), learner_rank(pair[1])))
+def panels(runs: Sequence[RunReader], presets: Sequence[str]) -> list[RunProfiles]:
+    """The longest run of each environment, learner and preset, if it weighed, in that order."""
+    suited = [run for run in runs if run.preset in presets and run.env != ROAD]
+    suited = [run for run in suited if run.learner in LEARNERS]
+    suited.sort(key=lambda run: (not changed(run), run.status.env_step, run.created))
+
+    def place(run: RunReader) -> tuple[object, ...]:
+        return task_rank(run.env), learner_rank(run.learner), presets.index(run.preset)
+
+    longest = {place(run): run for run in suited}
     found = []
-    for run in (longest[pair] for pair in order):
+    for run in sorted(longest.values(), key=place):  # type: ignore[arg-type]
         fits = run.profiles()
         weighed = np.flatnonzero((fits.ess < UNIFORM) & np.isfinite(fits.bins).any(1))
         if len(weighed):
             at = weighed[spread(len(weighed), STEPS)]
-            found.append(RunProfiles(run, fits.env_step[at], fits.bins[at], fits.ess[at]))
+            preset = "" if run.preset == presets[0] else f", {run.preset}"
+            label = LEARNERS[run.learner].label + preset
+            found.append(RunProfiles(run, label, fits.env_step[at], fits.bins[at], fits.ess[at]))
     return found
 
 
@@ -94,7 +102,7 @@ def rows(panels: Sequence[RunProfiles]) -> list[Row]:
     of the bin with the highest mean weight in [0, 1), 0 the oldest, and which share of the weight
     above even weights lies on the newest tenth, NaN if they are nearly even."""
     found = []
-    for run, env_step, bins, ess in panels:
+    for run, label, env_step, bins, ess in panels:
         newest = slice(-max(round(bins.shape[1] * NEWEST), 1), None)
         even = 1 / np.isfinite(bins).sum(1, keepdims=True)
         excess = np.nan_to_num(np.maximum(bins / np.nansum(bins, 1, keepdims=True) - even, 0))
@@ -102,7 +110,7 @@ def rows(panels: Sequence[RunProfiles]) -> list[Row]:
             found.append(
                 {
                     "env": run.env,
-                    "learner": LEARNERS[run.learner].label,
+                    "learner": label,
                     "seed": run.seed,
                     "step": int(env_step[i]),
                     "newest tenth": float(np.nansum(bins[i, newest]) / np.nansum(bins[i])),
@@ -118,8 +126,8 @@ def rows(panels: Sequence[RunProfiles]) -> list[Row]:
 
 
 def _profiles(panels: Sequence[RunProfiles]) -> Iterator[Row]:
-    for run, env_step, profiles, _ in panels:
-        of = {"env": run.env, "learner": run.learner, "run": run.run_id}
+    for run, label, env_step, profiles, _ in panels:
+        of = {"env": run.env, "learner": label, "run": run.run_id}
         for step, bins in zip(env_step, profiles, strict=True):
             for number, weight in enumerate(bins.tolist()):
                 yield {**of, "step": int(step), "bin": number, "mean_weight": weight}
@@ -141,7 +149,7 @@ def verdict(rows: Sequence[Row]) -> list[str]:
             f"{sum(row['peak at'] < 1 - NEWEST for row in own)} the peak does; "
             f"{len({row['run'] for row in own})} runs, one seed each."
         )
-    toms = [row for row in rows if row["learner"] == LEARNERS["tom"].label]
+    toms = [row for row in rows if row["learner"].split(",")[0] == LEARNERS["tom"].label]
     if of_paper := [row["excess there"] for row in toms if row["env"] in PAPER_ENVS]:
         uneven = [share for share in of_paper if isfinite(share)]
         agree = sum(share < 0.5 for share in uneven)
@@ -157,10 +165,12 @@ def verdict(rows: Sequence[Row]) -> list[str]:
 
 
 def online_figure(panels: Sequence[RunProfiles]) -> Figure:
-    """A panel for each environment and learner; later fits are darker."""
-    learners = sorted({run.learner for run, *_ in panels}, key=learner_rank)
+    """A row for each environment, a column for each learner and preset; later fits are darker."""
     drawn: dict[str, dict[str, Panel]] = {}
-    for run, env_step, bins, _ in panels:
-        fits, name = [f"step {step}" for step in env_step], run.learner
-        drawn.setdefault(run.env, {})[name] = Panel(LEARNERS[name].label, name, bins, fits=fits)
-    return profile_figure({env: list(map(of.get, learners)) for env, of in drawn.items()})
+    for run, label, env_step, bins, _ in panels:
+        fits = [f"step {step}" for step in env_step]
+        drawn.setdefault(run.env, {})[label] = Panel(label, run.learner, bins, fits=fits)
+    columns = [
+        label for _, label in sorted({(learner_rank(p.run.learner), p.label) for p in panels})
+    ]
+    return profile_figure({env: [of.get(label) for label in columns] for env, of in drawn.items()})

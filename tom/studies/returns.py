@@ -18,15 +18,13 @@ from tom.analysis.scores import BEST, FINAL, HEIGHT
 from tom.analysis.settings import unlike
 from tom.analysis.statistics import RANKED, remark
 from tom.envs import ENVS, task
-from tom.errors import UserError, check_known
-from tom.learners import LEARNERS
+from tom.errors import UserError
 from tom.record import Store
 from tom.reports.figures import NEUTRAL, learner_colour, new_figure
 from tom.reports.report import origin_of_runs
 from tom.studies import returns_tables as tables
 from tom.studies.returns_cells import PAPER_ENVS, Cell, all_cells, compared_at, select
-from tom.studies.study import Findings, Row, add_runs, tasks
-from tom.training.presets import PRESETS
+from tom.studies.study import Findings, Row, add_groups, add_runs, check_groups, tasks
 
 TITLE = "Returns of every learner"
 CLAIM = (
@@ -58,15 +56,7 @@ LINES = ("-.", "--", ":", (0, (9, 2)), (0, (4, 1.5, 1, 1.5, 1, 1.5)))
 
 def add_options(parser: ArgumentParser) -> None:
     add_runs(parser, ENVS, "[all of ours]")
-    parser.add_argument(
-        "--preset", nargs="+", metavar="PRESET", default=["paper", "mended"],
-        help="[paper mended]: runs of the first are called by their learner alone, those of others "
-        "by both",
-    )  # fmt: skip
-    parser.add_argument(
-        "--learner", nargs="+", default=list(LEARNERS), metavar="LEARNER",
-        help="ours, or a plug-in's [all]",
-    )  # fmt: skip
+    add_groups(parser)
     parser.add_argument(
         "--at", nargs="+", default=[], metavar="[ENV=]STEP",
         help="compare at this env step, in ENV alone if it is named, without the runs that end "
@@ -89,8 +79,7 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def find(args: Namespace) -> Findings:
-    check_known("preset", args.preset, PRESETS)
-    check_known("learner", args.learner, LEARNERS)
+    check_groups(args)
     envs, planned = tasks(args.env), args.groups is not None
     whole, cells, left_out = _chosen(args, envs)
     by = [BY[name] for name in args.by]

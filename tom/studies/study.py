@@ -36,13 +36,15 @@ from tom.data.unpack import DAMAGE
 from tom.envs import bring, brought, task
 from tom.envs.termination import bring_rule, brought_rules
 from tom.envs.user_code import users_code
-from tom.errors import UserError
+from tom.errors import UserError, check_known
+from tom.learners import LEARNERS
 from tom.machine.matmul import choose_matmul
 from tom.machine.processes import end_with_parent
 from tom.readable import in_words, whole
 from tom.record import RunReader, Store
 from tom.record.files import replace
 from tom.record.versions import versions
+from tom.training.presets import PRESETS
 
 if TYPE_CHECKING:  # the studio counts cases without loading matplotlib
     from matplotlib.figure import Figure
@@ -80,6 +82,25 @@ def add_runs(parser: ArgumentParser, envs: Iterable[str], help: str | None = Non
     """Add `--env`, the tasks of a study, and `--store`, where it finds their runs."""
     parser.add_argument("--env", nargs="+", default=list(envs), metavar="ENV", help=help)
     parser.add_argument("--store", type="folder", default=Path("runs"), help="run store (runs/)")
+
+
+def add_groups(parser: ArgumentParser) -> None:
+    """Add `--preset` and `--learner`, the trainings that a study of whole runs looks at."""
+    parser.add_argument(
+        "--preset", nargs="+", metavar="PRESET", default=["paper", "mended"],
+        help="[paper mended]: runs of the first are called by their learner alone, those of others "
+        "by both",
+    )  # fmt: skip
+    parser.add_argument(
+        "--learner", nargs="+", default=list(LEARNERS), metavar="LEARNER",
+        help="ours, or a plug-in's [all]",
+    )  # fmt: skip
+
+
+def check_groups(args: Namespace) -> None:
+    """Raises UserError for an unknown preset or learner."""
+    check_known("preset", args.preset, PRESETS)
+    check_known("learner", args.learner, LEARNERS)
 
 
 def add_jobs(parser: ArgumentParser) -> None:

@@ -16,13 +16,13 @@ N = 1000
 
 
 def record(
-    store: Store, learner: str, weights: list[np.ndarray], env: str = "hopper", **changes: Any
+    store: Store, learner: str, weights: list[np.ndarray], preset: str = "paper", **changes: Any
 ) -> None:
     """A run that fits its model at steps 250, 500 and so on."""
-    config = resolve(env, learner, "paper", {"snapshots": 0, **changes})
+    config = resolve("hopper", learner, preset, {"snapshots": 0, **changes})
     fits = [Weights(250 * i, one.astype(np.float32)) for i, one in enumerate(weights, start=1)]
     told = (event for fit in fits for event in (fit, Tick(fit.env_step, "fit")))
-    recorded(store, store.new_run_id(env, learner, 0), config, told)
+    recorded(store, store.new_run_id("hopper", learner, 0), config, told)
 
 
 def on(first: int, last: int) -> np.ndarray:
@@ -36,7 +36,7 @@ def test_where_the_weight_lies(tmp_path: Path):
     store = Store(tmp_path)
     record(store, "tom", [np.ones(N), on(500, 600), on(850, 950), on(900, 1000)])
     record(store, "mle", [np.ones(N)] * 4)
-    (panel,) = study.panels(store.runs(), "paper")
+    (panel,) = study.panels(store.runs(), ["paper"])
     assert panel.env_step.tolist() == [500, 750, 1000]  # the first fit was uniform
     rows = study.rows([panel])
     assert [row["step"] for row in rows] == [500, 750, 1000]
@@ -49,7 +49,7 @@ def test_where_the_weight_lies(tmp_path: Path):
 def test_of_few_bins_the_newest_is_the_newest_tenth(tmp_path: Path):
     store = Store(tmp_path)
     record(store, "tom", [on(0, 250)], bins=4)
-    (panel,) = study.panels(store.runs(), "paper")
+    (panel,) = study.panels(store.runs(), ["paper"])
     assert panel.bins.shape == (1, 4)
     (row,) = study.rows([panel])
     assert (row["newest tenth"], row["excess there"]) == (0, 0)
@@ -67,7 +67,7 @@ def test_of_few_bins_the_newest_is_the_newest_tenth(tmp_path: Path):
 def test_even_weights_are_no_evidence(tmp_path: Path, weight: np.ndarray, says: str):
     store = Store(tmp_path)
     record(store, "tom", [weight])
-    rows = study.rows(study.panels(store.runs(), "paper"))
+    rows = study.rows(study.panels(store.runs(), ["paper"]))
     assert rows[0]["newest tenth"] < 0.5
     assert study.verdict(rows)[-1].endswith(says)
 
@@ -76,6 +76,18 @@ def test_the_longest_run_and_a_few_fits_spread_over_it(tmp_path: Path):
     store = Store(tmp_path)
     record(store, "pmac", [on(0, 100)] * 20)
     record(store, "pmac", [on(0, 100)] * 3)
-    (panel,) = study.panels(store.runs(), "paper")
+    (panel,) = study.panels(store.runs(), ["paper"])
     assert panel.env_step.tolist() == [250, 1500, 2750, 3750, 5000]
-    assert study.panels(store.runs(), "smoke") == []
+    assert study.panels(store.runs(), ["smoke"]) == []
+
+
+def test_presets_stand_beside_each_other_and_runs_with_their_settings_come_first(tmp_path: Path):
+    store = Store(tmp_path)
+    record(store, "tom", [on(0, 100)] * 2)
+    record(store, "tom", [on(0, 100)] * 3, "mended")
+    record(store, "tom", [on(0, 100)] * 4, "mended", model={"hidden": 8})
+    panels = study.panels(store.runs(), ["paper", "mended"])
+    assert [(one.label, len(one.env_step)) for one in panels] == [("TOM", 2), ("TOM, mended", 3)]
+    assert {row["learner"] for row in study.rows(panels)} == {"TOM", "TOM, mended"}
+    titles = [ax.get_title() for ax in study.online_figure(panels).axes]
+    assert titles == ["TOM", "TOM, mended"]
