@@ -2,30 +2,25 @@
 
 The rule: a group differs if its 95 % interval leaves out the level of no difference; without an
 interval, as where a task has one recording, if p is below .05 after correction (Bonferroni's, or
-the table's own). A study that has an acceptance is judged by how many of its numbers are met; one
-question is answered by two studies together (`every_ways`).
+the table's own). A study that has an acceptance is judged by how many of its numbers are met.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import exp, isfinite, log, nan
+from math import isfinite, nan
 from statistics import median
 from typing import NamedTuple
 
-from app.data import called, studies
+from app.data import studies
 from app.data.studies import Study
 from app.theme import learner_colour
-from tom.analysis.statistics import COVERAGE, Interval
+from tom.analysis.statistics import Interval
 from tom.learners import LEARNERS
 from tom.readable import percent
-from tom.studies.frozen import ERROR, MENDED, MODELS, PRINTED, UNIFORM, WAYS
-from tom.studies.moments import Value, over_recordings, ratios, sign_test, telling, trial_of
+from tom.studies.frozen import MENDED, PRINTED, UNIFORM, WAYS
+from tom.studies.moments import sign_test, telling
 from tom.studies.study import Row
 
-EVERY_WAY = "Does weighing nearer to the policy make the paper's model better there?"
-PAPERS = list(MODELS)[-1]
-"""the paper's model"""
 BY_LABEL = {entry.label: name for name, entry in LEARNERS.items()}
 LABELS = {name: way.label for name, way in WAYS.items() if way.label}
 SIGNIFICANT = 0.05
@@ -33,8 +28,6 @@ NAMED = 3
 """numbers of an acceptance that are named"""
 Tables = Mapping[str, Sequence[Row]]
 """the rows of a study's tables by the files' names"""
-Outcome = tuple[Row, float]
-"""a row of a moment, with the number that counts"""
 
 
 class Point(NamedTuple):
@@ -76,7 +69,7 @@ class Verdict:
     """of panels: what is drawn, n, and what is left out"""
 
 
-def _tables(study: Study) -> Tables:
+def tables_of(study: Study) -> Tables:
     read = ((path.stem, studies.table(path)) for path in study.tables)
     return {
         name: [dict(row) for row in table.to_dict("records")]
@@ -88,7 +81,7 @@ def _tables(study: Study) -> Tables:
 def verdict(study: Study) -> Verdict | None:
     """The verdict on a study's question; None without a rule for it, or without its tables."""
     try:
-        return RULES[study.verb](_tables(study))
+        return RULES[study.verb](tables_of(study))
     except (LookupError, ValueError, StopIteration):  # or tables of another version
         return None
 
@@ -306,95 +299,3 @@ def symbol(way: str) -> str:
     if WAYS[way].half:
         return "diamond-wide"
     return "circle-open" if way == PRINTED else "circle" if WAYS[way].label else "x"
-
-
-def every_ways(listed: Sequence[Study]) -> dict[str, Verdict]:
-    """`EVERY_WAY` by the name of a capacity study, with the footprint study that ends alike.
-
-    What counts are the moments of both; without any there is no answer.
-    """
-    alike: dict[str, dict[str, Study]] = {}
-    for study in listed:
-        alike.setdefault(study.name.removeprefix(study.verb), {}).setdefault(study.verb, study)
-    found = {}
-    for of in alike.values():
-        with suppress(KeyError, ValueError):  # one is not computed, or tables of another version
-            near, errs = (_tables(of[name])["moments"] for name in ("footprint", "capacity"))
-            shared = {*map(trial_of, near)} & {*map(trial_of, errs)}
-            near, errs = ([row for row in rows if trial_of(row) in shared] for rows in (near, errs))
-            distances = [(row, row["footprint"]) for row in telling(near)]
-            errors = [(row, log(r)) for row, model, r in ratios(errs, ERROR) if model == PAPERS]
-            every = (_panel(env, distances, errors) for env in {row["env"]: 0 for row in errs})
-            panels = [panel for panel in every if len(panel.ways) > 1]
-            one_sided = {row["way"] for row in near} ^ {row["way"] for row in errs}
-            if panels:
-                name, caption = of["capacity"].name, _caption(panels, one_sided)
-                found[name] = Verdict(*_answer(panels), panels=panels, caption=caption)
-    return found
-
-
-def _panel(env: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) -> Panel:
-    """A task's ways by the distances and by the logarithms of the errors at its moments.
-
-    By way the mean over recordings of the median over moments; intervals resample recordings.
-    """
-    near, errs = dict[str, list[Value]](), dict[str, list[Value]]()
-    for outcomes, of_way in ((distances, near), (errors, errs)):
-        for row, value in outcomes:
-            if row["env"] == env:
-                of_way.setdefault(row["way"], []).append((env, row["recording"], value))
-    even = Interval(1, 1, 1)
-    ways = [(UNIFORM, even, even)]
-    for way in (way for way in WAYS if way in near and way in errs):
-        error = over_recordings(errs[way])
-        ends = Interval(exp(error.value), exp(error.low), exp(error.high))
-        ways.append((way, over_recordings(near[way]), ends))
-    moments = {(row["recording"], row["step"]) for row, _ in errors if row["env"] == env}
-    return Panel(env, ways, len({recording for recording, _ in moments}), len(moments))
-
-
-def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
-    """A word, a sentence, and what speaks against it.
-
-    A task says yes if a way has both intervals below uniform weights, no if each errs more.
-    """
-    sides, told = [], []
-    for panel in panels:
-        ways = panel.ways[1:]
-        both = [LABELS.get(way, way) for way, near, e in ways if near.high < 1 and e.high < 1]
-        all_worse = all(error.low > 1 for *_, error in ways)
-        sides.append(bool(both) - all_worse)
-        told.append(
-            f"{called.task(panel.env)}: {', '.join(both) or 'none' + ', all err more' * all_worse}."
-        )
-    sentence = (
-        "Both nearer to the policy and of smaller error than uniform weights, by their intervals. "
-        + " ".join(told)
-    )
-    fewest = sorted({panel.recordings for panel in panels} & {*COVERAGE})[:1]
-    few = "".join(f", with {n} about {COVERAGE[n]} of 100 hold the true mean" for n in fewest)
-    alone = [called.task(panel.env) for panel in panels if panel.recordings == 1]
-    none = f" One recording, of {' and '.join(alone)}, gives none." if alone else ""
-    against = (
-        f"Intervals over so few recordings are too narrow{few}, and "
-        f"{2 * sum(len(panel.ways) - 1 for panel in panels)} are read at once, uncorrected.{none}"
-    )
-    return word_of(sides), sentence, against
-
-
-def _caption(panels: Sequence[Panel], one_sided: Collection[str]) -> str:
-    """`one_sided` are the ways that only one of the two studies has."""
-    n = ", ".join(
-        f"{called.task(p.env)} {p.moments} moments of {p.recordings} recording"
-        + "s" * (p.recordings > 1)
-        for p in panels
-    )
-    named = [label for way, label in LABELS.items() if way in one_sided]
-    if variants := len(one_sided) - len(named):
-        named.append(f"{variants} variants of TOM")
-    left_out = f" Left out, since one number is lacking: {', '.join(named)}." if named else ""
-    return (
-        "Uniform weights are at 1 on both axes; further left is nearer to the policy, further down "
-        f"errs less. Model: {PAPERS} (units x layers), one step ahead. Bars: 95 % bootstrap "
-        f"intervals over recordings. n: {n}.{left_out}"
-    )

@@ -16,7 +16,8 @@ from studio_pages import Show, draw, figures
 from studio_runs import PENDULUM_TOM
 
 from app.data import readers, studies
-from app.data.verdicts import every_ways, verdict
+from app.data.every_way import every_ways
+from app.data.verdicts import verdict
 from app.links import Links
 from app.parts import jobs
 from app.servers.pages import routes
