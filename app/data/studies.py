@@ -25,7 +25,7 @@ QUESTIONS = {
     "footprint": "Do TOM's weights bring a buffer nearer to what its policy does?",
     "capacity": "Do TOM's weights make a model better where the policy goes, whatever its size?",
     "improvement": "Does the policy return more with weights in the model or in the starts?",
-    "online": "Do the weights move through the buffer while a training goes on?",
+    "online": "Does TOM look beyond the newest data while a training goes on?",
     "returns": "Do trainings with TOM's weights return more than MLE's?",
     "tabular": "Are the estimated weights the exact ones of small MDPs?",
 }

@@ -2,7 +2,8 @@
 
 The rule: a group differs if its 95 % interval leaves out the level of no difference; without an
 interval, as where a task has one recording, if p is below .05 after correction (Bonferroni's, or
-the table's own). A study that has an acceptance is judged by how many of its numbers are met.
+the table's own). A study that has an acceptance is judged by how many of its numbers are met,
+the profiles of single runs by what most of them show.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -11,11 +12,11 @@ from math import isfinite, nan
 from statistics import median
 from typing import NamedTuple
 
-from app.data import studies
+from app.data import called, studies
 from app.data.studies import Study
 from app.theme import learner_colour
 from tom.analysis.statistics import Interval
-from tom.learners import LEARNERS
+from tom.learners import LEARNERS, SUBJECT
 from tom.readable import percent
 from tom.studies.frozen import MENDED, PRINTED, UNIFORM, WAYS
 from tom.studies.moments import sign_test, telling
@@ -23,6 +24,7 @@ from tom.studies.study import Row
 
 BY_LABEL = {entry.label: name for name, entry in LEARNERS.items()}
 LABELS = {name: way.label for name, way in WAYS.items() if way.label}
+TOM = learner_colour(SUBJECT)
 SIGNIFICANT = 0.05
 NAMED = 3
 """numbers of an acceptance that are named"""
@@ -198,12 +200,12 @@ def _returns(tables: Tables) -> Verdict:
 
 
 def _focus(tables: Tables) -> Verdict:
-    called = {"pmac": "PMAC", "tom paper": LABELS[PRINTED], "tom mended": LABELS[MENDED],
-              "tom exact": "TOM exact"}  # fmt: skip
-    rows = [row for row in tables["summary"] if row["rival"] in called]
+    names = {"pmac": "PMAC", "tom paper": LABELS[PRINTED], "tom mended": LABELS[MENDED],
+             "tom exact": "TOM exact"}  # fmt: skip
+    rows = [row for row in tables["summary"] if row["rival"] in names]
     ours = [row for row in rows if row["rival"].startswith("tom")]
     signs = {
-        called[name]: sign_test(
+        names[name]: sign_test(
             ("", row["recording"], 1 - row["policy / mle"]) for row in ours if row["rival"] == name
         )
         for name in dict.fromkeys(row["rival"] for row in ours)
@@ -221,7 +223,7 @@ def _focus(tables: Tables) -> Verdict:
         f"recordings have no p below {least:.2g}."
     )
     points = [
-        Point(row["recording"], called[row["rival"]],
+        Point(row["recording"], names[row["rival"]],
               learner_colour(row["rival"].partition(" ")[0]),
               "circle-open" if row["rival"] == "tom paper" else "circle",
               row["policy / mle"], nan, nan)
@@ -229,6 +231,33 @@ def _focus(tables: Tables) -> Verdict:
     ]  # fmt: skip
     axis = "model error where the policy goes (1: as MLE's)"
     return Verdict(word_of(sides), sentence, against, axis, 1, points)
+
+
+def _online(tables: Tables) -> Verdict:
+    of_tom = {"TOM": LABELS[PRINTED], "TOM, mended": LABELS[MENDED]}
+    rows = [row for row in tables["online"] if row["learner"] in of_tom]
+    uneven = [row["excess there"] for row in rows if isfinite(row["excess there"])]
+    early = sum(share < 0.5 for share in uneven)
+    sentence = (
+        f"In {early} of {len(uneven)} profiles most of the weight above even weights lies before "
+        "the newest tenth of the buffer, which has "
+        f"{percent(median(row['newest tenth'] for row in rows), 0)} of all weight (median)."
+    )
+    runs = {row["run"] for row in rows}
+    against = (
+        f"{len(runs)} runs, one seed each, so there is no test; the longest profile is of step "
+        f"{max(row['step'] for row in rows):,}, the paper's examples are of 120,000 and 200,000."
+    )
+    points = []
+    for env, name in dict.fromkeys((row["env"], row["learner"]) for row in rows):
+        shares = [r["newest tenth"] for r in rows if (r["env"], r["learner"]) == (env, name)]
+        mark = "circle-open" if name == "TOM" else "circle"
+        value = median(shares)
+        points.append(Point(called.task(env), of_tom[name], TOM, mark, value, nan, nan))
+    axis = "weight on the newest tenth, median over fits (even weights: 0.1)"
+    side = (2 * early > len(uneven)) - (2 * early < len(uneven))
+    word = {1: "Yes", 0: "In part", -1: "No"}[side]
+    return Verdict(word, sentence, against, axis, 0.1, points)
 
 
 def _accepted(tables: Tables) -> Verdict:
@@ -248,9 +277,9 @@ RULES: dict[str, Callable[[Tables], Verdict]] = dict.fromkeys(ACCEPTED, _accepte
     "footprint": _footprint,
     "capacity": _capacity,
     "improvement": _improvement,
+    "online": _online,
     "returns": _returns,
 }
-"""of every study but `online`, whose profiles are of one seed each: no test, no interval"""
 
 
 def _by_rows(rows: Sequence[Row]) -> str:

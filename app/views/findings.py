@@ -117,7 +117,8 @@ def _card(study: Study, head: DeltaGenerator) -> None:
     if found is not None and found.points:
         height = 110 + 22 * len(found.points)
         figure = intervals(found.points, found.axis, found.level, height, study.name)
-        caption = f"{asked} {found.sentence} Bars: 95 % intervals."
+        bars = " Bars: 95 % intervals." if np.isfinite([p.low for p in found.points]).any() else ""
+        caption = f"{asked} {found.sentence}{bars}"
         with place:
             chart(figure, f"verdict {study.name}", f"{asked}: {found.axis}", caption=caption)
     elif study.figures and studies.is_picture(study.figures[0]):

@@ -121,6 +121,24 @@ def test_a_models_error_is_judged_by_a_sign_test_over_recordings(
     assert f"{2 / 2**recordings:.2g}" in found.against
 
 
+@pytest.mark.parametrize(
+    ("shares", "word"), [((0.9, 0.8, 0.2), "No"), ((0.1, 0.2, 0.9), "Yes"), ((0.1, 0.9), "In part")]
+)
+def test_profiles_are_judged_by_where_most_of_them_lie(
+    tmp_path: Path, shares: tuple[float, ...], word: str
+):
+    (tmp_path / "online").mkdir()
+    rows = [f"ant,TOM,{step},{share / 2},{share},r" for step, share in enumerate(shares)]
+    head = "env,learner,step,newest tenth,excess there,run"
+    (tmp_path / "online" / "online.csv").write_text("\n".join([head, *rows, "ant,TOM,9,0.1,,r"]))
+    found = of("online", tmp_path)
+    assert found.word == word
+    assert f"{sum(share < 0.5 for share in shares)} of {len(shares)} " in found.sentence
+    assert [point.value for point in found.points] == [
+        pytest.approx(np.median([*(share / 2 for share in shares), 0.1]))
+    ]
+
+
 def test_a_study_without_a_rule_or_with_other_tables_has_no_verdict(tmp_path: Path):
     (tmp_path / "footprint").mkdir()
     (tmp_path / "online").mkdir()
