@@ -254,7 +254,7 @@ def _online(tables: Tables) -> Verdict:
         mark = "circle-open" if name == "TOM" else "circle"
         value = median(shares)
         points.append(Point(called.task(env), of_tom[name], TOM, mark, value, nan, nan))
-    axis = "weight on the newest tenth, median over fits (even weights: 0.1)"
+    axis = "weight on the newest tenth (0.1: even weights)"
     side = (2 * early > len(uneven)) - (2 * early < len(uneven))
     word = {1: "Yes", 0: "In part", -1: "No"}[side]
     return Verdict(word, sentence, against, axis, 0.1, points)

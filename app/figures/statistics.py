@@ -163,4 +163,6 @@ def improvement(pairs: pd.DataFrame, colours: Sequence[str], height: int, keep: 
 def _reach(value: NDArray, low: NDArray, high: NDArray) -> dict[str, Any]:
     """The bars of intervals; none where the ends are NaN."""
     ends = {"array": np.nan_to_num(high - value), "arrayminus": np.nan_to_num(value - low)}
-    return {"type": "data", "symmetric": False, "color": NEUTRAL, "thickness": 1.6, **ends}
+    shown = bool(np.isfinite([low, high]).any())  # a bar without length has its caps
+    style = {"type": "data", "symmetric": False, "color": NEUTRAL, "thickness": 1.6}
+    return {**style, "visible": shown, **ends}
