@@ -12,6 +12,7 @@ The library keeps both in pickles, which are code. Here they become numbers and 
 
 import warnings
 from collections.abc import Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -117,7 +118,7 @@ class _Network(torch.nn.Module):
 
 def export_policy(model: Any, path: str | Path) -> None:
     """Write the policy of SAC, TD3 or DDPG as TorchScript."""
-    network = _Network(model.actor.cpu().eval(), model.action_space)
+    network = _Network(deepcopy(model.actor).cpu().eval(), model.action_space)
     example = torch.zeros(1, *model.observation_space.shape)
     torch.jit.trace_module(network, {"forward": example}).save(str(path))
 

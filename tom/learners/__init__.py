@@ -40,6 +40,7 @@ class LearnerEntry:
     `RunConfig`); they are shown only for it and distinguish only its runs. `uniform`: all
     transitions have the same weight. `follows_value`: its weights depend on a value function and
     change with it. `follows_behaviour`: they need the policy that drew each row's action.
+    `follows_model`: they need the last model's errors.
     `has_terms`: its weights come from a dual Q under `TomConfig`, and their terms
     are recorded (`tom.learners.terms`). `clipped`: the fit clips its weights, as
     `Weighting.clipped` says. `charts` are its own metrics in a run's layout, by title. `settings`
@@ -54,6 +55,7 @@ class LearnerEntry:
     uniform: bool = False
     follows_value: bool = False
     follows_behaviour: bool = False
+    follows_model: bool = False
     has_terms: bool = False
     clipped: bool = False
     charts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -129,7 +131,12 @@ LEARNERS: dict[str, LearnerEntry] = {
         own=PolicyDistanceConfig,
     ),
     "pmer": LearnerEntry(
-        "PMER", _built("pmer:PmerLearner", "pmer"), "#a89048", "pmer", own=PmerConfig
+        "PMER",
+        _built("pmer:PmerLearner", "pmer"),
+        "#a89048",
+        "pmer",
+        follows_model=True,
+        own=PmerConfig,
     ),
     "action-ratio": LearnerEntry(
         "Action ratio",

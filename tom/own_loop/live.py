@@ -30,7 +30,7 @@ from tom.errors import TryLaterError, UserError, check_known, reason
 from tom.events import Event, Metrics, Notice, Tick
 from tom.exams.diagnostics import ending_metrics, weight_metrics
 from tom.exams.exam import Exam, Fitted, footprint_metrics
-from tom.learners import LEARNERS, make_learner, with_own_settings
+from tom.learners import LEARNERS, follows_value, make_learner, with_own_settings
 from tom.learners.base import FitContext
 from tom.machine.processes import Process, on_stopping, start
 from tom.own_loop.opening import opened
@@ -47,6 +47,11 @@ WAIT_S = 600.0
 NICE = 19
 POLICY_ROWS = 1000
 """the newest rows, which stand for the policy"""
+NO_CRITICS = (
+    "no-critics",
+    "this learner follows a value function, and the kept policy comes without one: every row "
+    "counts the same",
+)
 
 
 class LiveWeighing:
@@ -75,9 +80,14 @@ def weigh_live(
     """Weigh the newest buffer by the newest policy of `run.policy` every `every` rows.
 
     At the lowest priority, in a process of its own. If it falls behind it skips, with a notice.
-    Raises UserError for an unknown learner.
+    Raises UserError for an unknown learner, or one that needs what no loop hands in.
     """
     check_known("learner", learners, LEARNERS)
+    for name in learners:
+        entry = LEARNERS[name]
+        if entry.follows_behaviour or entry.follows_model:
+            needs = "each row's policy" if entry.follows_behaviour else "a model's errors"
+            raise UserError(f"learner {name} needs {needs}, which no loop hands in: leave it out")
     if every < 1:
         raise UserError(f"every {every}: weigh every so many rows, at least 1")
     log = run.path / layout.LIVE / "log.txt"
@@ -144,6 +154,8 @@ class _Live:
         events: list[Event] = [weighting.event(n, policy)]
         events.append(Metrics(n, {**weighting.metrics, **shape, "buffer/size": float(n)}))
         events += [Notice(n, code, text) for code, text in weighting.notices]
+        if stored.value_gradient is None and follows_value(self.config.learner):
+            events.append(Notice(n, *NO_CRITICS))
         for event in (*events, Tick(n, "weigh")):
             self.recorder.consume(event)
 

@@ -82,11 +82,13 @@ def cut_back(writer: RunWriter, step: int | None = None) -> dict[str, Any]:
             if later > last:
                 (writer.path / name(later)).unlink(missing_ok=True)
     status, table = reader.status, reader.metric_rows()
+    stays = table.loc[table["env_step"] <= last]
+    returns = stays["eval/return"].dropna().tolist() if "eval/return" in stays else []
     walls = table["time/wall_s"].dropna().tolist() if "time/wall_s" in table else []
     return {
         "env_step": int(min(status.env_step, last)),
         "wall_s": walls[-1] if walls else 0.0,
-        "returns": (status.last_return, status.best_return),
+        "returns": (returns[-1], max(returns)) if returns else (None, None),
         "next_snapshot": 0.0,
         "files": {
             "lines": [*lines, _bytes_up_to(reader, layout.NOTICES, np.inf)],

@@ -207,10 +207,9 @@ class OwnRun:
         kept = self._rows.in_record(given)
         if not kept.any():
             raise UserError("none of the recorded rows has any weight yet")
-        policy = self._policy[1] if self._policy and self._policy[0] == at else None
         weight = (kept / kept.mean()).astype(np.float32)
         recorded = len(self._rows.recorded)
-        self._recorder.consume(Weights(at, weight, policy=policy, rows=recorded))
+        self._recorder.consume(Weights(at, weight, rows=recorded))
 
     @_guarded
     def policy(self, step: int, policy: Any) -> None:

@@ -109,6 +109,7 @@ def _lost(run: RunReader, copy: RunReader) -> list[str]:
     lost = {
         "checkpoint": checkpoint.newest(run.path / checkpoint.FOLDER) is not None,
         "recording": bool(run.rrd_files()),
+        "live weights": bool(run.live()),
         "simulator states": len(copy.buffer()[0]) > 0 and bool(run.recorded().state),
     }
     for part, recorded, kept in (
@@ -176,6 +177,7 @@ def _chosen_profiles(reader: RunReader) -> Iterator[dict[str, Any]]:
             "bins": [short(value) for value in profiles.bins[i]],
             "ess": short(profiles.ess[i]),
             "zeros": short(profiles.zeros[i]),
+            "rows": int(profiles.rows[i]),
         }
 
 

@@ -192,7 +192,10 @@ class RunWriter:
         self.append(layout.PROFILES, row)
 
     def snapshot(self, weights: Weights, *, keep: bool) -> None:
-        """Write the single weights and their policy; earlier ones are deleted unless kept."""
+        """Write the single weights and their policy; earlier ones are deleted unless kept.
+
+        A policy that was kept for itself (`KeptPolicy`) stays: such weights bring none.
+        """
         columns = {"weight": weights.weight}
         if weights.log_ratio is not None:
             columns |= {"log_ratio": weights.log_ratio, **weights.terms}
@@ -204,8 +207,9 @@ class RunWriter:
             self.arrays(layout.policy(weights.env_step), weights.policy)
         previous, self._latest_snapshot = self._latest_snapshot, weights.env_step
         if previous is not None and previous != weights.env_step:
-            for name in (layout.snapshot(previous), layout.policy(previous)):
-                (self.path / name).unlink(missing_ok=True)
+            (self.path / layout.snapshot(previous)).unlink(missing_ok=True)
+            if weights.policy is not None:
+                (self.path / layout.policy(previous)).unlink(missing_ok=True)
         if keep:
             self._latest_snapshot = None
 

@@ -5,8 +5,8 @@ requested preset counts as a separate learner ("TOM, mended"). If runs differ in
 largest group of each learner is used, or every group counts as a separate learner, as the user
 likes ("TOM, mended, model.uniform_share 1"); in a group the longest run of each seed. The learners
 of an environment are compared at a step that all their runs reach, or at one that the user fixed
-before he looked, without the runs that end earlier. Runs are grouped and scored as on the Compare
-page (`tom/analysis/scores.py`).
+before he looked, without the runs that end earlier. Runs are grouped and scored as on Curves
+(`tom/analysis/scores.py`).
 """
 
 from collections.abc import Collection, Mapping, Sequence

@@ -235,7 +235,9 @@ def test_an_exported_policy_is_the_models(kind, tmp_path: Path):
     model = kind(
         "MlpPolicy", gymnasium.make("Pendulum-v1"), seed=0, policy_kwargs={"net_arch": [8]}
     )
+    model.actor.train()
     export_policy(model, tmp_path / "policy.pt")
+    assert model.actor.training  # the model goes on as it was
     obs = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32)
     found = torch.jit.load(tmp_path / "policy.pt")(torch.from_numpy(obs))
     action = 2 * torch.tanh(found[0]) if kind is SAC else found

@@ -7,6 +7,7 @@ import pytest
 from kernel import wait_for
 from loops import loaded
 
+from tom.errors import UserError
 from tom.own_loop.live import weigh_live
 from tom.own_loop.run import OwnRun, record
 from tom.record import RunReader, layout
@@ -75,6 +76,22 @@ def test_the_newest_buffer_is_weighed_beside_the_loop(envs: int, tmp_path: Path)
     assert abs(weights.mean() - 1) < 1e-3
     assert weights[-300:].mean() > weights[:300].mean()  # where the policy is
     assert "policy_distance" in rows["tom"]
+
+
+@pytest.mark.parametrize("learner", ["pdml", "policy-distance", "action-ratio", "pmer", "none"])
+def test_a_learner_that_needs_more_than_a_loop_hands_in_is_refused(learner: str, tmp_path: Path):
+    with record("mine", env="Pendulum-v1", store=tmp_path) as run, pytest.raises(UserError):
+        weigh_live(run, ("mle", learner))
+    assert not run.live
+
+
+def test_values_that_nobody_handed_in_are_missed_in_a_notice(tmp_path: Path):
+    with record("mine", env="Pendulum-v1", store=tmp_path) as run:
+        hand_in(run, 60)
+        live = weigh_live(run, ("vagram",), every=50)
+    live.wait(PATIENCE_S)
+    found = loaded(tmp_path).live["vagram"].reader
+    assert [notice["code"] for notice in found.notices()] == ["no-critics"]
 
 
 def test_a_weighing_that_fails_is_told_at_the_end(tmp_path: Path):

@@ -144,6 +144,30 @@ def test_weights_metrics_and_replays_come_back(tmp_path: Path):
     assert found.reader.status.last_return == 812
 
 
+def test_policies_that_were_kept_stay_when_weights_follow(tmp_path: Path):
+    one = watched()
+    with record("mine", env="Pendulum-v1", store=tmp_path) as run:
+        for step in range(10, 70, 10):
+            played(run, one, 10)
+            if step % 20 == 0:
+                run.policy(step, in_units)
+            run.weights(step, np.ones(step))
+    assert loaded(run).reader.policy_steps() == [20, 40, 60]
+
+
+def test_what_is_cut_off_counts_as_no_best_return(tmp_path: Path):
+    one = watched()
+    with record("mine", env="Pendulum-v1", store=tmp_path) as run:
+        for step, value in ((10, -100.0), (20, -10.0)):
+            played(run, one, 10)
+            run.metrics(step, {"eval/return": value})
+    with record("mine", env="Pendulum-v1", store=tmp_path, resume="auto", step=15) as run:
+        run.metrics(15, {"eval/return": -90.0})
+    found = loaded(run)
+    assert found.metrics["eval/return_max"].dropna().tolist() == [-100, -90]
+    assert found.reader.status.best_return == -90
+
+
 KILLED = """
 import sys
 import numpy as np

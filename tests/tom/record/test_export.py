@@ -2,6 +2,7 @@
 
 import json
 import resource
+import shutil
 import struct
 import subprocess
 from multiprocessing import get_context
@@ -227,6 +228,13 @@ def test_a_copy_of_a_run_in_training_is_stopped_where_the_copy_ends(store: Store
     assert verify(small) == []
 
 
+def test_weights_of_fewer_rows_than_steps_keep_their_place(record, tmp_path: Path):
+    """A loop of several environments has steps whose episodes are not recorded yet."""
+    run = record(given=[Weights(400, np.ones(200, np.float32), rows=240)])
+    small = RunReader(export_small(run, tmp_path))
+    assert small.profiles().rows_at(400) == run.profiles().rows_at(400) == 240
+
+
 def test_all_that_a_copy_lacks_is_named_also_in_a_copy_of_it(record, tmp_path: Path):
     rows, version = transitions(0, 9), np.zeros(9, np.int64)
     weight, dims = np.ones(9, np.float32), np.ones((9, 11), np.float32)
@@ -240,9 +248,11 @@ def test_all_that_a_copy_lacks_is_named_also_in_a_copy_of_it(record, tmp_path: P
     )
     checkpoint.save(run.path / checkpoint.FOLDER, 9, {"training": {"coefficients": torch.ones(3)}})
     (run.path / "run.rrd").touch()
+    (run.path / layout.LIVE / "tom").mkdir(parents=True)
+    shutil.copy(run.path / layout.CONFIG, run.path / layout.LIVE / "tom")
     small = RunReader(export_small(run, tmp_path))
     lacking = {
-        "checkpoint", "recording", "simulator states", "other snapshots", "other evaluations",
+        "checkpoint", "live weights", "recording", "simulator states", "other snapshots", "other evaluations",
         "per-dimension weights", "other pictures", "other policies",
     }  # fmt: skip
     assert small.policy_steps() == small.snapshot_steps()
