@@ -136,6 +136,7 @@ def weigh(
             own = config.but(learner=name, seed=seed)
             weighting = fit_weights(data, policy, ours, max(len(ours), own.tom.warmup), own)
             event, generator = weighting.event(0), Streams(seed).torch("exam")
+            counted = weighting.counted(of_model(own))  # as in the exam of a training's fit
             yield Weighed(
                 learner=name,
                 seed=seed,
@@ -144,7 +145,7 @@ def weigh(
                 metrics=dict(weighting.metrics),
                 notices=tuple(weighting.notices),
                 footprint_return=float(np.mean(made.returns)) if made.returns else None,
-                match=footprint_match(rows, weighting.weights, judges, scaling, generator),
+                match=footprint_match(rows, counted, judges, scaling, generator),
                 terms=dict(event.terms),
             )
 
@@ -177,8 +178,7 @@ def fit_weights(
 
     def model_errors() -> Tensor:
         """Of a model fitted to the rows without weights, in place of a training's last; (N,)."""
-        of_model = config.model if isinstance(config, OnlineConfig) else ModelConfig()
-        model = fit_model(rows, uniform(rows, ready=True), of_model, config.seed)
+        model = fit_model(rows, uniform(rows, ready=True), of_model(config), config.seed)
         return errors_of_rows(model, rows)
 
     return learner.weigh(
@@ -195,6 +195,11 @@ def fit_weights(
             model_errors=model_errors,
         )
     )
+
+
+def of_model(config: RunConfig) -> ModelConfig:
+    """The model's settings, if there are any."""
+    return config.model if isinstance(config, OnlineConfig) else ModelConfig()
 
 
 def fit_model(

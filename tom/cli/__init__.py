@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from typing import Any, NoReturn
 
 from tom import __version__, plugins
-from tom.errors import BAD_INPUT, UserError, reason
+from tom.errors import BAD_INPUT, DISK_FULL, TRY_LATER, UserError, reason
 from tom.harmless import terminal
 
 COMMANDS = {
@@ -93,7 +93,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     except OSError as error:
         print(f"tom: {terminal(error)}", file=sys.stderr)
-        return 2
+        return TRY_LATER if error.errno in DISK_FULL else BAD_INPUT
     except MemoryError as error:
         print(f"tom: not enough memory ({reason(error)}): free some", file=sys.stderr)
         return 1

@@ -2,6 +2,8 @@
 
 import argparse
 from collections.abc import Iterator
+from contextlib import suppress
+from functools import reduce
 from itertools import takewhile
 from pathlib import Path
 from types import UnionType
@@ -12,6 +14,8 @@ from pydantic.fields import FieldInfo
 
 from tom.errors import UserError, invalid_value
 
+FIRST = ("hopper", "tom", None)
+"""the task, learner and preset whose defaults a help shows that names none"""
 DEST = "config:"  # marks arguments that belong to the configuration
 TERMINATION = "model.termination"
 
@@ -61,9 +65,15 @@ def add_training_options(
     # Imported here because `tom runs` needs none of them.
     from tom.envs import ROAD
     from tom.learners import LEARNERS
-    from tom.training.presets import PRESETS, config_type
+    from tom.training.presets import PRESETS, config_type, resolve
 
     env = ROAD if named(arguments, "--env") == {ROAD} else ""
+    usual: BaseModel | None = None
+    if {"-h", "--help"}.intersection(arguments):  # whose defaults follow from what is named
+        words = (*(named(arguments, f"--{name}") for name in ("env", "learner", "preset")),)
+        asked = [min(of, default=usual) for of, usual in zip(words, FIRST, strict=True)]
+        with suppress(UserError):  # of what is not known the help says so little
+            usual = resolve(*asked)
     parser.add_argument(
         "--preset", metavar="PRESET", help=f"{', '.join(PRESETS)} [mended for TOM, else paper]"
     )
@@ -79,7 +89,9 @@ def add_training_options(
             "-> bool (B,); or never; or learnt, by a head of the model (short for "
             "--model.termination)",
         )
-    add_config_options(parser, config_type(env, *LEARNERS), leave_out)
+    if env == ROAD:
+        leave_out = leave_out | {"device"}  # it always trains on the CPU
+    add_config_options(parser, config_type(env, *LEARNERS), leave_out, usual)
 
 
 def named(arguments: list[str], option: str) -> set[str]:
@@ -110,15 +122,22 @@ def import_named(args: argparse.Namespace) -> None:
 
 
 def add_config_options(
-    parser: argparse.ArgumentParser, config: type[BaseModel], leave_out: set[str]
+    parser: argparse.ArgumentParser,
+    config: type[BaseModel],
+    leave_out: set[str],
+    usual: BaseModel | None = None,
 ) -> None:
-    """One option for each value of a configuration; nested groups are dotted (`--sac.lr`)."""
+    """One option for each value of a configuration; nested groups are dotted (`--sac.lr`).
+
+    The defaults in its help are those of `usual`, and of the class for what that lacks.
+    """
     group = parser.add_argument_group("settings (each overrides the preset)")
     for path, info in leaf_fields(config):
         if path not in leave_out:
             option = "--" + path.replace("_", "-")
             text = (info.description or "").replace("%", "%%")
-            default = info.get_default(call_default_factory=True)
+            of_class = info.get_default(call_default_factory=True)
+            default = reduce(lambda of, name: getattr(of, name, of_class), path.split("."), usual)
             group.add_argument(
                 option, dest=DEST + path, metavar=_metavar(info), help=f"{text} [{default}]".strip()
             )

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from commands import code_of, refused
 
+from tom.cli import main
 from tom.record import Store
 from tom.record.writer import RunWriter
 from tom.training.presets import resolve
@@ -79,3 +80,16 @@ def test_steps_that_a_run_cannot_go_on_to(capsys, tmp_path: Path):
     for steps in ("99999999999999999999", "0"):
         words = ["train", "--resume", "mine", f"--steps={steps}", "--store", str(tmp_path)]
         refused(words, capsys, f"--steps {steps}")
+
+
+def test_help_shows_the_defaults_of_what_is_named(capsys: pytest.CaptureFixture[str]):
+    said = {}
+    for env in ("hopper", "humanoid"):
+        with pytest.raises(SystemExit, match="0"):
+            main(["train", "--env", env, "--preset", "paper", "--help"])
+        said[env] = " ".join(capsys.readouterr().out.split())
+    for env in said:
+        config = resolve(env, "tom", "paper")
+        assert f"[{config.total_steps}]" in said[env]
+        assert f"units in a hidden layer [{config.model.hidden}]" in said[env]
+    assert said["hopper"] != said["humanoid"]
