@@ -3,7 +3,6 @@
 import argparse
 from collections.abc import Iterator
 from contextlib import suppress
-from functools import reduce
 from itertools import takewhile
 from pathlib import Path
 from types import UnionType
@@ -14,8 +13,6 @@ from pydantic.fields import FieldInfo
 
 from tom.errors import UserError, invalid_value
 
-FIRST = ("hopper", "tom", None)
-"""the task, learner and preset whose defaults a help shows that names none"""
 DEST = "config:"  # marks arguments that belong to the configuration
 TERMINATION = "model.termination"
 
@@ -64,16 +61,19 @@ def add_training_options(
     """
     # Imported here because `tom runs` needs none of them.
     from tom.envs import ROAD
-    from tom.learners import LEARNERS
+    from tom.learners import LEARNERS, SUBJECT
     from tom.training.presets import PRESETS, config_type, resolve
 
     env = ROAD if named(arguments, "--env") == {ROAD} else ""
     usual: BaseModel | None = None
     if {"-h", "--help"}.intersection(arguments):  # whose defaults follow from what is named
-        words = (*(named(arguments, f"--{name}") for name in ("env", "learner", "preset")),)
-        asked = [min(of, default=usual) for of, usual in zip(words, FIRST, strict=True)]
-        with suppress(UserError):  # of what is not known the help says so little
-            usual = resolve(*asked)
+        asked = {name: named(arguments, f"--{name}") for name in ("env", "learner", "preset")}
+        with suppress(UserError):  # of an unknown task or learner there are none
+            usual = resolve(
+                min(asked["env"], default="hopper"),
+                min(asked["learner"], default=SUBJECT),
+                min(asked["preset"], default=None),
+            )
     parser.add_argument(
         "--preset", metavar="PRESET", help=f"{', '.join(PRESETS)} [mended for TOM, else paper]"
     )
@@ -137,7 +137,9 @@ def add_config_options(
             option = "--" + path.replace("_", "-")
             text = (info.description or "").replace("%", "%%")
             of_class = info.get_default(call_default_factory=True)
-            default = reduce(lambda of, name: getattr(of, name, of_class), path.split("."), usual)
+            default: Any = usual
+            for name in path.split("."):
+                default = getattr(default, name, of_class)
             group.add_argument(
                 option, dest=DEST + path, metavar=_metavar(info), help=f"{text} [{default}]".strip()
             )

@@ -6,6 +6,7 @@ import pytest
 from commands import code_of, refused
 
 from tom.cli import main
+from tom.config import OnlineConfig
 from tom.record import Store
 from tom.record.writer import RunWriter
 from tom.training.presets import resolve
@@ -90,6 +91,7 @@ def test_help_shows_the_defaults_of_what_is_named(capsys: pytest.CaptureFixture[
         said[env] = " ".join(capsys.readouterr().out.split())
     for env in said:
         config = resolve(env, "tom", "paper")
+        assert isinstance(config, OnlineConfig)
         assert f"[{config.total_steps}]" in said[env]
         assert f"units in a hidden layer [{config.model.hidden}]" in said[env]
     assert said["hopper"] != said["humanoid"]

@@ -252,8 +252,8 @@ def test_all_that_a_copy_lacks_is_named_also_in_a_copy_of_it(record, tmp_path: P
     shutil.copy(run.path / layout.CONFIG, run.path / layout.LIVE / "tom")
     small = RunReader(export_small(run, tmp_path))
     lacking = {
-        "checkpoint", "live weights", "recording", "simulator states", "other snapshots", "other evaluations",
-        "per-dimension weights", "other pictures", "other policies",
+        "checkpoint", "live weights", "recording", "simulator states", "other snapshots",
+        "other evaluations", "per-dimension weights", "other pictures", "other policies",
     }  # fmt: skip
     assert small.policy_steps() == small.snapshot_steps()
     assert set(small.left_out) == lacking
