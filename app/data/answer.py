@@ -208,8 +208,10 @@ def helps(one: Side, other: Side) -> Answer:
         return Answer(
             "unknown", "Cannot be told yet", f"{empty.name} has not been evaluated yet. {error}"
         )  # fmt: skip
-    until = scores.common_step(curve for curves in pairs for curve in curves)
-    begun = [[curve for curve in curves if scores.begun([curve], until)] for curves in pairs]
+    until = min(map(reach_of, pairs))
+    begun = [
+        [curve for curve in curves if curve.step[0] <= until <= curve.step[-1]] for curves in pairs
+    ]
     if not all(begun):
         return Answer("unknown", "Cannot be told yet", f"The runs share no step yet. {error}")
     since = scores.common_start(curve for curves in begun for curve in curves)
@@ -220,7 +222,7 @@ def helps(one: Side, other: Side) -> Answer:
     means = [score(float(values.mean())) for values in final]
     counts = f"{len(final[0])} and {len(final[1])} runs"
     at = f"at step {until:,.0f}"
-    fewest = min(len({c.seed for c in curves}) for curves in pairs)
+    fewest = min(len({c.seed for c in curves}) for curves in begun)
     if fewest < RANKED:
         return Answer(
             "unknown", f"Cannot be told yet: {fewest} of {RANKED} seeds",
@@ -245,6 +247,14 @@ def helps(one: Side, other: Side) -> Answer:
     if beats.value > 0.5:
         return Answer("yes", "Yes, it returns more", sentence, corrected)
     return Answer("no", "No, it returns less", sentence, corrected)
+
+
+def reach_of(curves: Sequence[Curve]) -> float:
+    """The last step that `RANKED` seeds reach, so that a new run changes nothing; of fewer, all."""
+    last: dict[int, float] = {}
+    for curve in curves:
+        last[curve.seed] = max(last.get(curve.seed, -np.inf), float(curve.step[-1]))
+    return sorted(last.values())[-min(RANKED, len(last))]
 
 
 def _error(one: Side, other: Side) -> str:

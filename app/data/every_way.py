@@ -50,6 +50,8 @@ def every_ways(listed: Sequence[Study]) -> dict[str, Verdict]:
 def _panel(env: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) -> Panel:
     """A task's ways by the distances and by the logarithms of the errors at its moments.
 
+    Some distances are noise and do not count, so n is the smaller of the two.
+
     By way the mean over recordings of the median over moments; intervals resample recordings.
     """
     near, errs = dict[str, list[Value]](), dict[str, list[Value]]()
@@ -63,8 +65,12 @@ def _panel(env: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) ->
         error = over_recordings(errs[way])
         ends = Interval(exp(error.value), exp(error.low), exp(error.high))
         ways.append((way, over_recordings(near[way]), ends))
-    moments = {(row["recording"], row["step"]) for row, _ in errors if row["env"] == env}
-    return Panel(env, ways, len({recording for recording, _ in moments}), len(moments))
+    counted = [
+        {(row["recording"], row["step"]) for row, _ in outcomes if row["env"] == env}
+        for outcomes in (distances, errors)
+    ]
+    recordings = min(len({recording for recording, _ in moments}) for moments in counted)
+    return Panel(env, ways, recordings, min(map(len, counted)))
 
 
 def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
@@ -99,8 +105,8 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
 def _caption(panels: Sequence[Panel], one_sided: Collection[str]) -> str:
     """`one_sided` are the ways that only one of the two studies has."""
     n = ", ".join(
-        f"{called.task(p.env)} {p.moments} moments of {p.recordings} recording"
-        + "s" * (p.recordings > 1)
+        f"{called.task(p.env)} {p.moments} moment{'s' * (p.moments > 1)} of {p.recordings} "
+        f"recording{'s' * (p.recordings > 1)}"
         for p in panels
     )
     named = [label for way, label in LABELS.items() if way in one_sided]

@@ -110,8 +110,7 @@ def _footprint(tables: Tables) -> Verdict:
     rivals = {"recency": "Recency", "policy-distance": "The policies' distance"}
     said = [
         f"{name}, which trains nothing, brings it to {percent(rows[rival]['distance'], 0)}: that "
-        f"{'differs from' if pair['p'] < SIGNIFICANT else 'cannot be told from'} TOM mended (p "
-        f"{pair['p']:.2g}, {pair['recordings']:.0f} recordings)."
+        f"{_beside(pair, rival)} TOM mended ({_sure(pair, lambda end: percent(end, 0))})."
         for pair in tables["head-to-head"]
         for rival, name in rivals.items()
         if {pair["way"], pair["against"]} == {MENDED, rival}
@@ -120,6 +119,17 @@ def _footprint(tables: Tables) -> Verdict:
     points = [_point(LABELS[row["way"]], "", row, "distance") for row in shown]
     axis = "distance to the policy (1: unweighted)"
     return Verdict(_by_rows(ours), sentence, " ".join(said), axis, 1, points)
+
+
+def _beside(pair: Row, rival: str) -> str:
+    """How a way's distance lies beside the other's of a pair, by the interval of the difference."""
+    differs = pair["p"] < SIGNIFICANT
+    if isfinite(pair["low"]):
+        differs = pair["low"] > 0 or pair["high"] < 0
+    if not differs:
+        return "cannot be told from"
+    further = (pair["difference"] > 0) == (pair["way"] == rival)
+    return "is further away than" if further else "is nearer than"
 
 
 def _capacity(tables: Tables) -> Verdict:
@@ -301,7 +311,8 @@ def _side(p: float, better: bool) -> int:
 def _sure(row: Row, number: Callable[[float], str]) -> str:
     """How sure a row's number is: its interval, else its test."""
     if isfinite(row["low"]):
-        return f"{number(row['low'])} to {number(row['high'])}"
+        of = "difference " if "difference" in row else ""
+        return f"{of}{number(row['low'])} to {number(row['high'])}"
     return f"p {row['p']:.2g}, {row['recordings']:.0f} recordings"
 
 

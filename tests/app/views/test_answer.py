@@ -154,6 +154,13 @@ def test_five_seeds_that_all_win_help_and_four_cannot_tell():
     assert answer.helps(side(high[:4]), side(low)).word == "unknown"
 
 
+def test_a_run_that_has_just_begun_changes_no_comparison():
+    ours, theirs = side([10.0, 11, 12, 13, 14]), side([1.0, 2, 3, 4, 5])
+    new = Curve("new", "hopper", "tom", "paper", 5, np.array([10]), np.array([0.0]))
+    more = answer.helps(replace(ours, returns=[*ours.returns, new]), theirs)
+    assert more == answer.helps(ours, theirs)
+
+
 def test_what_three_scores_of_few_seeds_could_show_by_chance_is_no_yes():
     """Of 252 arrangements of five and five 8 are as far from a half as 23 wins of 25: p .032."""
     ours, theirs = [5.0, 7, 8, 9, 10], [1.0, 2, 3, 6, 6.5]
