@@ -63,8 +63,8 @@ _FRAME = f"""<div class="frame"><button type="button" class="theme"></button>
       <dialog aria-label="Shortcuts"><h2>Shortcuts</h2><dl>{_HELP}</dl>
       <form method="dialog"><button autofocus>Close</button></form></dialog></div>"""
 _LIST = '<div class="runlist" role="group" aria-label="Runs"></div>'
-TOLD = "frame: told"
-"""the ended trainings that this session knows of"""
+ALIVE = "frame: alive"
+"""the trainings that ran when this session last looked"""
 
 
 @dataclass(frozen=True)
@@ -301,21 +301,18 @@ def _list(scope: Scope) -> None:
 
 def _frame(runs: Sequence[RunReader]) -> None:
     """The buttons below the list, the shortcuts, and notices of trainings that have ended."""
-    called = names(runs)
+    called, before = names(runs), st.session_state.get(ALIVE, ())
     ended = [
         {
-            "id": f"{run.run_id} {run.status.state}",
             "title": f"{called[run.run_id]}: {run.shown}",
             "body": run.status.reason or f"last return {score(run.status.last_return)}",
         }
         for run in runs
-        if not run.status.alive and not run.small_copy
+        if not run.status.alive and run.run_id in before
     ]
-    before = st.session_state.get(TOLD)
     for one in ended:
-        if before is not None and one["id"] not in before:
-            st.toast(f"**{text.markdown(one['title'])}**  \n{text.markdown(one['body'])}")
-    st.session_state[TOLD] = {one["id"] for one in ended}
+        st.toast(f"**{text.markdown(one['title'])}**  \n{text.markdown(one['body'])}")
+    st.session_state[ALIVE] = {run.run_id for run in runs if run.status.alive}
     mode = "" if session.links().theme else session.mode()
     parts.draw("frame", _FRAME, "page frame", {"mode": mode, "ended": ended})
 

@@ -25,7 +25,7 @@ function step(by) {
 
 // A key that the focused element takes for itself is not a shortcut.
 function taken({ target, ctrlKey, metaKey, altKey }) {
-  const own = "input, textarea, select, button, a, [role=slider], [role=grid], [contenteditable], canvas";
+  const own = "input, textarea, select, button, a, summary, [role=slider], [role=grid], [contenteditable], canvas";
   return ctrlKey || metaKey || altKey || target.closest?.(own) || document.querySelector("dialog[open]");
 }
 
@@ -44,12 +44,9 @@ function nameFrames() {
   }
 }
 
-function notify(root, events) {
+function notify(events) {
   if (!("Notification" in window) || Notification.permission !== "granted") return;
-  for (const { id, title, body } of events) {
-    if (root.told.has(id)) continue;
-    new Notification(title, { body, tag: id });
-  }
+  for (const { title, body } of events) new Notification(title, { body, tag: title });
 }
 
 export default function ({ data, parentElement }) {
@@ -75,8 +72,8 @@ export default function ({ data, parentElement }) {
     await Notification.requestPermission();
     ask.hidden = Notification.permission !== "default";
   };
-  // What had ended before this page was opened is no news.
-  if (root.told) notify(root, data.ended);
-  root.told ??= new Set();
-  data.ended.forEach(({ id }) => root.told.add(id));
+  // A drawing may come twice.
+  const ended = JSON.stringify(data.ended);
+  if (ended !== root.told) notify(data.ended);
+  root.told = ended;
 }

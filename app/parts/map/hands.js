@@ -233,7 +233,7 @@ function buildHistograms(root) {
     const note = columns[i].note ?? "";
     head.append(element("span", "", (name === WEIGHT ? "weight (log)" : name) + note), element("output"));
     const canvas = element("canvas");
-    Object.entries({ tabindex: "0", role: "slider", "aria-label": `Rows by ${name}: drag to choose an interval` }).forEach(([key, value]) => canvas.setAttribute(key, value));
+    Object.entries({ tabindex: "0", role: "group", "aria-label": `Rows by ${name}: drag to choose an interval, or arrows and Shift with arrows; Escape ends it` }).forEach(([key, value]) => canvas.setAttribute(key, value));
     const foot = element("footer");
     foot.append(element("span"), element("span"), element("span"));
     figure.append(head, canvas, foot);
@@ -314,7 +314,8 @@ async function load(root) {
     const axes = given.planes.flatMap((plane) => plane.axes.map(({ url }) => url));
     const [weights] = await Promise.all([source.url, ...axes].map(array));
     if (!current()) return;
-    if (root.rows?.source.url !== source.url) root.rows = rowsOf(given, source, weights);
+    if (root.stale || root.rows?.source.url !== source.url) root.rows = rowsOf(given, source, weights);
+    root.stale = false;
     if (given.against) {
       const other = await array(given.against.url);
       if (root.against?.source.url !== given.against.url) root.against = rowsOf(given, given.against, other);
@@ -383,7 +384,7 @@ export default function ({ data, parentElement, setTriggerValue }) {
       root.told = words;
     }
   }
-  root.colour ??= data.colour;
+  if (data.colour !== root.coloured) root.colour = root.coloured = data.colour; // so Back counts
   root.sourceAt = sourceOf(data.given, window.tomStep ?? data.step);
   root.querySelector(".map-view").style.fontFamily = style.getPropertyValue("--st-font");
   if (!root.wired) {
@@ -398,6 +399,10 @@ export default function ({ data, parentElement, setTriggerValue }) {
     root.watch.observe(root.querySelector(".map-frame"));
   }
   root.wired = true;
+  // Codes count between the ends of a quantity, which move while a buffer grows.
+  const ends = ({ name, low, high }) => [name, low, high];
+  const scales = JSON.stringify([data.given.columns.map(ends), data.given.planes.map(({ axes }) => axes.map(ends))]);
+  if (scales !== root.scales) [root.scales, root.stale, root.viewOf] = [scales, true, ""];
   buildHistograms(root);
   fillColours(root);
   root.measured = false;

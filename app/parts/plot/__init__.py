@@ -16,7 +16,7 @@ from app import parts
 LIBRARY = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
 LIBRARY_PATH = f"api/plotly-{plotly.__version__}.js"
 _HTML = """<div class="plot-frame"><p class="plot-failed" role="alert" hidden></p>
-      <div class="plot" role="img"></div>
+      <div class="plot" role="group"></div>
       <div class="plot-cursor" aria-hidden="true" hidden></div>
       <div class="plot-crosshair" aria-hidden="true" hidden></div></div>"""
 Part = tuple[float, float]

@@ -62,7 +62,8 @@ function saveBox(plot) {
     box = document.createElement("dialog");
     box.className = "plot-save";
     box.setAttribute("aria-label", "Save this figure");
-    box.innerHTML = `<h2>Save this figure</h2>
+    // The form keeps the widths of this figure apart from those of others.
+    box.innerHTML = `<form method="dialog"><h2>Save this figure</h2>
       <fieldset><legend>Width</legend>${Object.entries(WIDTHS)
         .map(([key, words], i) => `<label><input type="radio" name="width" value="${key}" ${i ? "" : "checked"}> ${words}</label>`)
         .join("")}</fieldset>
@@ -70,7 +71,7 @@ function saveBox(plot) {
         .map((kind) => `<button type="button" data-kind="${kind}">${kind.toUpperCase()}</button>`)
         .join("")}</div>
       <p class="caption"></p>
-      <form method="dialog"><button type="button" class="copy">Copy the caption</button><button>Close</button></form>`;
+      <button type="button" class="copy">Copy the caption</button><button>Close</button></form>`;
     plot.parentElement.append(box);
     box.querySelectorAll("[data-kind]").forEach((button) => {
       button.onclick = () => {
@@ -125,9 +126,9 @@ function csv(plot) {
   const both = drawnTraces(plot).some(({ error_y }) => error_y?.array);
   const head = ["line", "group", "preset", ...axes, "value", "low", "high", ...(both ? [`${axes[1]}, low`, `${axes[1]}, high`] : [])];
   const rows = drawnTraces(plot).filter(({ name }) => name !== "core").flatMap((trace) => {
-    const { name, x, y, z, text } = trace;
+    const { name, x, y, z, customdata, text } = trace;
     const of = groups?.[trace.legendgroup] ?? ["", ""];
-    if (z) return [...z].flatMap((row, j) => [...row].map((value, i) => [name, ...of, x[i], y[j], value, "", ""]));
+    if (z) return [...(customdata ?? z)].flatMap((row, j) => [...row].map((value, i) => [name, ...of, x[i], y[j], value, "", ""]));
     // A band goes along its upper edge, and back along the lower one.
     const edge = (i) => (trace.fill === "toself" ? (i < x.length / 2 ? ", high" : ", low") : "");
     const ends = (bars, at, i) => (bars?.array?.[i] || bars?.arrayminus?.[i] ? [at - bars.arrayminus[i], at + bars.array[i]] : ["", ""]);

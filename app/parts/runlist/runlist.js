@@ -34,7 +34,6 @@ function eye(root, word, name, hidden) {
   button.type = "button";
   button.title = `${hidden ? "Show" : "Hide"} ${name} (Alt: show it alone)`;
   button.setAttribute("aria-label", `${hidden ? "Show" : "Hide"} ${name}`);
-  button.setAttribute("aria-pressed", String(!hidden));
   button.onclick = ({ altKey }) => root.tell(altKey ? "alone" : "toggled", [word]);
   return button;
 }

@@ -101,10 +101,10 @@ function wire(root) {
   };
 }
 
-export default function ({ data, parentElement, setStateValue }) {
+export default function ({ data, parentElement, setTriggerValue }) {
   const root = parentElement.querySelector(".timeline");
   const same = JSON.stringify(root.given) === JSON.stringify(data.given);
-  root.setStep = setStateValue;
+  root.setStep = setTriggerValue;
   root.given = data.given;
   if (!root.wired) wire(root);
   root.wired = true;

@@ -96,7 +96,7 @@ def click_the_first_fit(page: "Page", store: Path) -> None:
 def see_runs_side_by_side(page: "Page") -> None:
     """The returns lie in the drawn part of their axes, which the weights' axes stand above."""
     page.get_by_role("radio", name="Side by side").click()
-    chart = page.get_by_role("img", name="weights and return of the runs")
+    chart = page.get_by_role("group", name="weights and return of the runs")
     chart.locator(".nsewdrag").first.wait_for()
     lines = chart.evaluate("""plot => plot._fullData.filter(t => t.name === "return").map(
         ({ y, yaxis }) => [
