@@ -80,7 +80,7 @@ def weight_profile(
             width=100 / len(bins),
             marker={"color": learner_colour(learner), "line": {"width": 0}},
             name=text.plotly(learner_label(learner)),
-            hovertemplate=f"{AT_AGE}<br>weight %{{y:.3g}}<extra></extra>",
+            hovertemplate=f"{AT_AGE}<br>weight %{{y:.3g}} ({FLOOR:g}: or less)<extra></extra>",
         )
     )
     # Plotly leaves out a label that does not fit: "oldest", left of an axis with short labels.

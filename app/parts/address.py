@@ -80,6 +80,12 @@ def write() -> None:
         st.query_params.update(changed)  # no words take a choice out
 
 
+def shared() -> dict[str, list[str]]:
+    """The words of this drawing for the choices that belong to all pages."""
+    keeping = st.session_state.get(_KEEPING, {})
+    return {key: keeping[key] for key in SHARED if keeping.get(key)}
+
+
 def value_of(key: str, read: Callable[[list[str]], T], of: object = None) -> T:
     """A choice's value: read from the address if it counts, else the session's.
 

@@ -15,7 +15,7 @@ from streamlit.delta_generator import DeltaGenerator
 from app import session, text
 from app.data import readers, trainings
 from app.data.trainings import Started
-from app.parts import address, form, widgets
+from app.parts import address, form, jobs, widgets
 from app.theme import learner_colour, learner_label
 from tom import readable
 from tom.analysis.settings import changed, telling_presets
@@ -39,6 +39,7 @@ FORGET = 6
 FOLD, OPENED = "starting", "start opened"
 _STATE_TINTS = {"running": "#1f9d55", "failed": "#d2383f", "dead": "#c77700"}
 PLAY = ":material/play_arrow:"
+FIRST = "First comparison"
 
 
 def first_page() -> None:
@@ -57,9 +58,11 @@ def first_page() -> None:
         st.write("TOM and MLE on inverted pendulum, one after the other: about three minutes.")
         if why := session.read_only_reason():
             st.caption(why)
-        elif st.button("Start it", type="primary", icon=PLAY):
+        elif not jobs.runs(FIRST) and st.button("Start it", type="primary", icon=PLAY):
             words = ["train", "--env", "inverted-pendulum", "--learner", "tom", "mle"]
-            trainings.start([*words, "--seeds", "0", "--steps", "2500", "--store", store])
+            jobs.start(FIRST, [*words, "--seeds", "0", "--steps", "2500", "--store", store])
+            st.rerun()
+        jobs.show(FIRST)
     with right, st.container(border=True):
         st.subheader("Or in a terminal", anchor=False)
         option = f" --store {shlex.quote(store)}"
@@ -320,6 +323,6 @@ def head(run: RunReader, preset: str = "") -> str:
         f'<b style="white-space:nowrap">{learner}</b>'
         '<span style="opacity:.7;overflow:hidden;text-overflow:ellipsis;white-space:nowrap" '
         f'title="{html.escape(run.run_id, quote=True)}">{about}</span>'
-        f'<span style="margin-left:auto;flex:none;color:{tint};border:1px solid;'
+        f'<span style="margin-left:auto;flex:none;border:1px solid {tint};'
         f'border-radius:1rem;padding:0 .55rem;font-size:.8em">{html.escape(shown)}</span></div>'
     )

@@ -9,6 +9,7 @@ import streamlit as st
 from app import session, text
 from app.data import readers
 from app.links import LIVE
+from app.parts import address
 from app.scenes.control import Choice, Selection, tell
 from tom.analysis.curves import Curve, curve_points
 from tom.harmless import as_csv
@@ -108,8 +109,9 @@ def link_to(path: str, label: str, **choices: str) -> None:
     pages = st.session_state.get("pages", {})
     if path in pages:  # else this page is drawn alone
         st.page_link(
-            pages[path], label=label, icon=":material/arrow_forward:", query_params=choices or None
-        )
+            pages[path], label=label, icon=":material/arrow_forward:",
+            query_params=address.shared() | {name: [word] for name, word in choices.items()},
+        )  # fmt: skip
 
 
 def downloads(files: Files, name: str) -> None:

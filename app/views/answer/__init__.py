@@ -12,11 +12,11 @@ from app.data.answer import Answer, Side, newest_share
 from app.data.cache import VersionedCache
 from app.data.called import task
 from app.data.exams import exams_of
-from app.figures.base import across
+from app.figures.base import across, steps_in_words
 from app.figures.curves import group_curves
 from app.figures.road import road_map
 from app.parts import address, start, widgets
-from app.parts.plot import Drawn, Follow, chart
+from app.parts.plot import Drawn, chart
 from app.parts.scope import Scope
 from app.parts.widgets import uniform
 from app.theme import learner_label
@@ -69,10 +69,11 @@ def page(scope: Scope) -> None:
     st.header(asked, anchor=False)
     alive = any(run.status.alive for runs in groups.values() for run in runs)
     st.fragment(_cards, run_every=REFRESH_S if alive else None)(scope, both)
-    behind = st.expander("The numbers behind it", key="numbers behind", on_change="rerun")
-    if behind.open and env != ROAD:
-        with behind:
-            numbers.draw(scope, env)
+    if env != ROAD:  # which has no exams
+        behind = st.expander("The numbers behind it", key="numbers behind", on_change="rerun")
+        if behind.open:
+            with behind:
+                numbers.draw(scope, env)
 
 
 def _groups(scope: Scope) -> dict[str, list[RunReader]]:
@@ -107,22 +108,20 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
     key = tuple(fresh), session.mode(), frozenset((kind, scope.looks[kind]) for kind in kinds)
     made = _MADE.get(key, lambda: _made(scope, fresh), version)
     grid = st.container(horizontal=True, key="cards")
-    of_road = next(iter(fresh.values()))[0].env == ROAD
-    cards = (ON_ROAD, *CARDS[1:]) if of_road else CARDS
+    mine = next(iter(fresh.values()))
+    cards = (ON_ROAD, *CARDS[1:]) if mine[0].env == ROAD else CARDS
     for (question, link, what, _), (answered, drawn) in zip(cards, made, strict=True):
         with grid, st.container(border=True, height="stretch"):
             st.subheader(question, anchor=False)
             st.markdown(f"#### {SIGNS[answered.word]} {text.markdown(answered.verdict)}")
             if drawn is not None:
                 st.caption(what)
-                label = f"{what}, against env steps"
                 figure, caption = drawn
-                follow = Follow(cursor=True)
-                chart(figure, f"answer {question}", label, follow=follow, caption=caption)
+                chart(figure, f"answer {question}", f"{question} {what}", caption=caption)
             st.markdown(text.linked(text.unbroken(answered.sentence)))
             if answered.more:
                 st.caption(text.linked(text.unbroken(answered.more)))
-            widgets.link_to(link, f"See it on {link.capitalize()}")
+            widgets.link_to(link, f"See it on {link.capitalize()}", run=mine[0].run_id)
 
 
 def _made(scope: Scope, fresh: Mapping[str, Sequence[RunReader]]) -> list[Card]:
@@ -193,8 +192,8 @@ def _chart(scope: Scope, what: str, level: float | None, groups: Sequence[Group]
         figure.add_shape(across(level, 1.2, "dash"))
     named = ", ".join(f"{scope.looks[group.kind].title} (n = {group.n})" for group in groups)
     caption = (
-        f"{what.capitalize()}, against env steps. Line: mean over seeds, band: 95 % bootstrap "
-        f"interval, thin lines: single runs. {named}."
+        f"{what.capitalize()}, against {steps_in_words(group.env for group in groups)}. Line: mean "
+        f"over seeds, band: 95 % bootstrap interval, thin lines: single runs. {named}."
     )
     return Drawn.of(figure), caption
 

@@ -102,7 +102,9 @@ def _exams(runs: Sequence[RunReader]) -> None:
         exams = [one for one in read if len(one.step)]
         return exams, ranking(exams, counted_from(map(readers.metrics, runs)))
 
-    version = tuple((run.path, run.version("metrics")) for run in runs)
+    version = tuple(
+        (run.path, run.version("metrics"), readers.weighed(run).version("metrics")) for run in runs
+    )
     exams, result = _RANKINGS.get(tuple(run.path for run in runs), make, version)
     sat = {one.run_id: result.ended_before(one) for one in exams}
     without = [run for run in runs if run.run_id not in sat]

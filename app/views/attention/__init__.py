@@ -193,7 +193,7 @@ def _exam(run: RunReader, fit: int) -> None:
         st.caption(text.markdown(" ".join(said)))
     elif run.own_loop and run.learner == OWN_LOOP:
         st.caption("No exam: weights that a loop hands in sit none, those of `tom.weigh_live` do.")
-    elif run.status.alive:
+    elif run.status.alive and fit == readers.profiles(run).env_step[-1]:
         st.caption("No exam yet: it is over with the next fit.")
     elif any(name.startswith("exam/") for name in frame.columns):
         st.caption("This fit sat no exam.")

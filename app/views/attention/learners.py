@@ -104,10 +104,9 @@ def _weighed(weighing: Weighing, rows: int) -> None:
     if sentence := nearest({name: of[:, 0] for name, of in footprints.items()}):
         st.markdown(text.unbroken(sentence))
     with st.container(border=True):
-        st.markdown(
-            f"**By {text.markdown(weighing.policy)}**: the dotted line ends the random data"
-        )
         share = weighing.ordered_from / len(next(iter(of.values())))
+        ends = ": the dotted line ends the random data" if share > 0 else ""
+        st.markdown(f"**By {text.markdown(weighing.policy)}**{ends}")
         figure = probe_profiles(weighings.profiles(of), share, 400, keep=weighing.name)
         chart(figure, "probe", "weight profiles of several learners on the same buffer")
     with st.container(border=True):

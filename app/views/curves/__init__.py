@@ -15,6 +15,7 @@ from app import session, text
 from app.data import readers, tables
 from app.data.cache import VersionedCache
 from app.data.called import names, task, told_apart
+from app.figures.base import steps_in_words
 from app.figures.curves import alone, group_curves, label_ends, short_title
 from app.parts import address, shortlinks, timeline, widgets
 from app.parts.plot import Drawn, Follow, Point, View, chart
@@ -119,11 +120,12 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
                 continue
             figure = _figure(metric, curves, grouped, how, scope, here)
             if figure is not None:
+                panel = f"{env} {metric}" if len(envs) > 1 else metric
                 chart(
                     figure, f"curve {env} {metric}", f"{metric} against {how.axes.x} in {env}",
                     partial(_clicked, curves) if on_steps else None,
-                    view=View(seen.get(""), seen.get(metric)),
-                    viewed=partial(measure.remember, seen, metric),
+                    view=View(seen.get(""), seen.get(panel)),
+                    viewed=partial(measure.remember, seen, panel),
                     follow=Follow(cursor=on_steps), linked="curves",
                     caption=caption(metric, env, grouped, how, scope),
                 )  # fmt: skip
@@ -186,10 +188,10 @@ def caption(metric: str, env: str, grouped: Sequence[Group], how: Measure, scope
     bands = {"bootstrap": ", band: 95 % bootstrap interval", "deviation": ", band: one deviation"}
     named = ", ".join(f"{scope.looks[group.kind].title} (n = {group.n})" for group in grouped)
     smooth = f", moving average of {how.window} points" if how.window > 1 else ""
-    return (
-        f"{short_title(metric)} on {task(env)} against {how.axes.x}. Line: {NAMES[how.statistic]} "
-        f"over {scope.unit}{bands.get(how.band, '')}{smooth}. {named}."
-    )
+    of = steps_in_words({env}) if how.axes.x == measure.STEPS else how.axes.x
+    line = f"Line: {NAMES[how.statistic]} over {scope.unit}{bands.get(how.band, '')}"
+    drawn = f"{line}{smooth}. {named}" if grouped else f"Lines: single runs{smooth}"
+    return f"{short_title(metric)} on {task(env)} against {of}. {drawn}."
 
 
 def _clicked(curves: Sequence[Curve], point: Point) -> None:

@@ -62,7 +62,11 @@ def _side(scope: Scope) -> None:
         return
     called = told_apart(chosen)
     parts = [
-        (called[run.run_id], widgets.curve(run, "eval/return"), readers.profiles(run))
+        (
+            called[run.run_id],
+            widgets.curve(run, "eval/return"),
+            readers.profiles(readers.weighed(run)),
+        )
         for run in chosen
     ]
     with st.container(border=True):
