@@ -35,6 +35,15 @@ NEEDS_BROWSER = [
 DRAWN_S = 60
 LOCAL = {"127.0.0.1", "localhost", ""}
 """where a page of the studio may ask"""
+CALM = """() => new Promise(resolve => {
+    let timer = setTimeout(resolve, 500);
+    new MutationObserver(() => {
+        clearTimeout(timer);
+        timer = setTimeout(resolve, 500);
+    }).observe(document.body, { subtree: true, childList: true });
+})"""
+"""waits until half a second has passed without a change of the page: a box that is drawn again
+drops what was typed"""
 
 
 @dataclass

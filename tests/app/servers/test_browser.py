@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from common import present
 from studio_browser import (
+    CALM,
     LOCAL,
     NEEDS_BROWSER,
     Visit,
@@ -85,6 +86,7 @@ def click_the_end_of_a_curve(page: "Page") -> None:
 def click_the_first_fit(page: "Page", store: Path) -> None:
     chart = page.locator(".js-plotly-plot").first
     chart.locator(".hm").wait_for()
+    page.evaluate(CALM)  # a chart that moves is not where it was
     frame = present(chart.locator(".nsewdrag").first.bounding_box())
     page.mouse.click(frame["x"] + 0.02 * frame["width"], frame["y"] + 0.5 * frame["height"])
     page.wait_for_url("**/attention?*step=*")

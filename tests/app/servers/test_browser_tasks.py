@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from studio_browser import (
+    CALM,
     DRAWN_S,
     NEEDS_BROWSER,
     drawn,
@@ -42,15 +43,6 @@ SEEN = """() => {
     return false;
 }"""
 """whether a ring tells where the focus is, or the mark of a text"""
-CALM = """() => new Promise(resolve => {
-    let timer = setTimeout(resolve, 500);
-    new MutationObserver(() => {
-        clearTimeout(timer);
-        timer = setTimeout(resolve, 500);
-    }).observe(document.body, { subtree: true, childList: true });
-})"""
-"""waits until half a second has passed without a change of the page: a box that is drawn again
-drops what was typed"""
 
 
 @pytest.fixture(scope="module")
