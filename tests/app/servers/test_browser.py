@@ -339,3 +339,38 @@ def test_the_map_shows_a_fits_own_weights_as_soon_as_the_timeline_moves(
     assert page.evaluate("window.atOnce") == columns.weight_codes(first.weight).tolist()
     page.wait_for_url("**/attention?*step=200*")
     page.get_by_role("button", name="Save all 200 rows (Parquet)").wait_for()
+
+
+def test_a_choice_that_is_made_again_counts_again(visit: Visit) -> None:
+    page = opened(visit)
+    for _ in range(2):
+        page.get_by_role("slider", name="Step of the training").focus()
+        page.keyboard.press("Home")
+        page.wait_for_url("**/attention?*step=200*")
+        page.go_back()
+        until(page, lambda: asked(page).get("step") != ["200"], "Back keeps the step")
+    page.evaluate(CALM)
+    page.get_by_label("Colour").focus()
+    page.keyboard.press("a")  # a key: the browser keeps no place of what nobody's hand did
+    page.wait_for_url("**/attention?*colour=age*")
+    page.evaluate(CALM)
+    page.go_back()
+    colour = "document.querySelector('.buffer-map')?.colour"
+    until(page, lambda: page.evaluate(colour) == "weight", "Back keeps the colour")
+    fold = page.locator("summary", has_text="The chosen transitions")
+    fold.focus()
+    page.keyboard.press("Space")
+    page.locator("details[open]", has_text="The chosen transitions").wait_for()
+    assert page.get_by_role("button", name="Play", exact=True).first.is_visible()
+
+
+def test_every_figure_can_be_saved_after_another(visit: Visit) -> None:
+    visit.page.goto(visit.links.opened("curves?task=inverted-pendulum"))
+    charts = visit.page.locator(".js-plotly-plot")
+    for i in (0, 1, 0):
+        charts.nth(i).locator(".nsewdrag").first.wait_for()
+        charts.nth(i).get_by_role("button", name="Save: SVG, PDF, PNG, CSV").press("Enter")
+        box = visit.page.locator("dialog[open]")
+        with visit.page.expect_download():
+            box.get_by_role("button", name="SVG").click()
+        box.get_by_role("button", name="Close").click()
