@@ -1,6 +1,7 @@
 """The tables of the gallery's studies are what their commands make."""
 
 import json
+import shlex
 from pathlib import Path
 
 import pandas as pd
@@ -25,7 +26,7 @@ def test_tables_of_returns_are_made_again(
 ) -> None:
     monkeypatch.chdir(STUDIES.parents[1])
     command = json.loads((study / "report.json").read_text())["origin"]["command"]
-    assert main([*command.split()[1:], "--out", str(tmp_path)]) == 0
+    assert main([*shlex.split(command)[1:], "--out", str(tmp_path)]) == 0
     tables = [path.name for path in study.glob("*.csv") if path.read_text().strip()]
     assert {"summary.csv", "improvement.csv", "exams.csv"} <= set(tables)
     compare(study, tmp_path, *tables)
