@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from app.data import buffer
 from app.data.cache import cached
-from app.data.exams import Exams, medians, ranking
+from app.data.exams import Exams, last_steps, medians, ranking
 from tom.analysis import planes, scores, statistics
 from tom.analysis.curves import Curve
 from tom.analysis.statistics import RANKED, Interval
@@ -208,7 +208,9 @@ def helps(one: Side, other: Side) -> Answer:
         return Answer(
             "unknown", "Cannot be told yet", f"{empty.name} has not been evaluated yet. {error}"
         )  # fmt: skip
-    until = min(map(reach_of, pairs))
+    # The step that enough seeds of each reach, so that a run that has just begun changes nothing.
+    last = [last_steps((c.seed, float(c.step[-1])) for c in curves) for curves in pairs]
+    until = min(steps[-min(RANKED, len(steps))] for steps in last)
     begun = [
         [curve for curve in curves if curve.step[0] <= until <= curve.step[-1]] for curves in pairs
     ]
@@ -247,14 +249,6 @@ def helps(one: Side, other: Side) -> Answer:
     if beats.value > 0.5:
         return Answer("yes", "Yes, it returns more", sentence, corrected)
     return Answer("no", "No, it returns less", sentence, corrected)
-
-
-def reach_of(curves: Sequence[Curve]) -> float:
-    """The last step that `RANKED` seeds reach, so that a new run changes nothing; of fewer, all."""
-    last: dict[int, float] = {}
-    for curve in curves:
-        last[curve.seed] = max(last.get(curve.seed, -np.inf), float(curve.step[-1]))
-    return sorted(last.values())[-min(RANKED, len(last))]
 
 
 def _error(one: Side, other: Side) -> str:

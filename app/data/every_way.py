@@ -50,9 +50,8 @@ def every_ways(listed: Sequence[Study]) -> dict[str, Verdict]:
 def _panel(env: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) -> Panel:
     """A task's ways by the distances and by the logarithms of the errors at its moments.
 
-    Some distances are noise and do not count, so n is the smaller of the two.
-
-    By way the mean over recordings of the median over moments; intervals resample recordings.
+    By way the mean over recordings of the median over moments; intervals resample recordings. n is
+    the smaller of both, since a distance that is noise does not count.
     """
     near, errs = dict[str, list[Value]](), dict[str, list[Value]]()
     for outcomes, of_way in ((distances, near), (errors, errs)):

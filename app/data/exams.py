@@ -3,7 +3,7 @@
 An exam is the real steps between a fit and the next, which are not in its buffer.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -148,11 +148,16 @@ def ranking(exams: Sequence[Exams], since: float = -np.inf) -> Ranking:
 
 def reach_of(runs: Sequence[Exams]) -> float:
     """The last examined step that `RANKED` seeds reach; -inf if there are fewer seeds."""
+    last = last_steps((run.seed, run.last) for run in runs if np.isfinite(run.error).any())
+    return last[-RANKED] if len(last) >= RANKED else -np.inf
+
+
+def last_steps(ends: Iterable[tuple[int, float]]) -> list[float]:
+    """Of the seed and the last step of each run: how far each seed got, ascending."""
     last: dict[int, float] = {}
-    for run in runs:
-        if np.isfinite(run.error).any():
-            last[run.seed] = max(last.get(run.seed, -np.inf), run.last)
-    return sorted(last.values())[-RANKED] if len(last) >= RANKED else -np.inf
+    for seed, step in ends:
+        last[seed] = max(last.get(seed, -np.inf), step)
+    return sorted(last.values())
 
 
 def standing(group: str, runs: Sequence[Exams]) -> Standing:

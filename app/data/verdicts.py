@@ -24,7 +24,6 @@ from tom.studies.study import Row
 
 BY_LABEL = {entry.label: name for name, entry in LEARNERS.items()}
 LABELS = {name: way.label for name, way in WAYS.items() if way.label}
-TOM = learner_colour(SUBJECT)
 SIGNIFICANT = 0.05
 NAMED = 3
 """numbers of an acceptance that are named"""
@@ -258,12 +257,12 @@ def _online(tables: Tables) -> Verdict:
         f"{len(runs)} runs, one seed each, so there is no test; the longest profile is of step "
         f"{max(row['step'] for row in rows):,}, the paper's examples are of 120,000 and 200,000."
     )
-    points = []
+    points, colour = [], learner_colour(SUBJECT)
     for env, name in dict.fromkeys((row["env"], row["learner"]) for row in rows):
         shares = [r["newest tenth"] for r in rows if (r["env"], r["learner"]) == (env, name)]
         mark = "circle-open" if name == "TOM" else "circle"
         value = median(shares)
-        points.append(Point(called.task(env), of_tom[name], TOM, mark, value, nan, nan))
+        points.append(Point(called.task(env), of_tom[name], colour, mark, value, nan, nan))
     axis = "weight on the newest tenth (0.1: even weights)"
     side = (2 * early > len(uneven)) - (2 * early < len(uneven))
     word = {1: "Yes", 0: "In part", -1: "No"}[side]

@@ -66,9 +66,11 @@ def add_training_options(
 
     env = ROAD if named(arguments, "--env") == {ROAD} else ""
     usual: BaseModel | None = None
-    if {"-h", "--help"}.intersection(arguments):  # whose defaults follow from what is named
+    if {"-h", "--help"}.intersection(
+        arguments
+    ):  # it shows the named task's defaults
         asked = {name: named(arguments, f"--{name}") for name in ("env", "learner", "preset")}
-        with suppress(UserError):  # of an unknown task or learner there are none
+        with suppress(UserError):  # without these, those of the classes are shown
             usual = resolve(
                 min(asked["env"], default="hopper"),
                 min(asked["learner"], default=SUBJECT),

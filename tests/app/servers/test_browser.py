@@ -351,7 +351,7 @@ def test_a_choice_that_is_made_again_counts_again(visit: Visit) -> None:
         until(page, lambda: asked(page).get("step") != ["200"], "Back keeps the step")
     page.evaluate(CALM)
     page.get_by_label("Colour").focus()
-    page.keyboard.press("a")  # a key: the browser keeps no place of what nobody's hand did
+    page.keyboard.press("a")  # a real key: Back forgets what a script alone did
     page.wait_for_url("**/attention?*colour=age*")
     page.evaluate(CALM)
     page.go_back()

@@ -26,6 +26,7 @@ from tom.envs import task
 from tom.errors import UserError
 from tom.exams.energy import footprint_match, step_scaling
 from tom.learners import follows_behaviour
+from tom.learners.base import Weighting
 from tom.learners.pmac import recency_probabilities
 from tom.policy.collect import Footprint, footprint
 from tom.policy.stored import UniformPolicy
@@ -117,6 +118,21 @@ def test_weights_are_judged_by_episodes_that_no_learner_has_seen(store: Path, mo
         torch.Generator(),
     )
     assert pmac.match["footprint"] == pytest.approx(again["footprint"], abs=0.02)
+
+
+def test_weights_are_judged_as_a_fit_counts_them(store: Path, monkeypatch):
+    data, known = of_run(RunReader(store / "sac")), task("inverted-pendulum")
+    raw = torch.from_numpy(np.random.default_rng(0).lognormal(0, 3, len(data))).float()
+    heavy, made = Weighting(raw / raw.mean(), clipped=True), []
+    judge = weighing.footprint_match
+    monkeypatch.setattr(weighing, "fit_weights", lambda *_: heavy)
+    monkeypatch.setattr(
+        weighing, "footprint_match", lambda *given: made.append(given[1]) or judge(*given)
+    )
+    config = RunConfig(env=known.name, learner="tom")
+    (found,) = weighing.weigh(data, UniformPolicy(4, 1), known, config, ["tom"], [0], 100)
+    assert float(heavy.weights.max()) > 10 >= float(made[0].max())
+    assert found.weights == pytest.approx(heavy.weights.numpy())  # what is kept is not cut
 
 
 def test_a_weighing_lies_in_the_store_and_goes_with_a_small_copy(

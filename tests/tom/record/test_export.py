@@ -5,6 +5,7 @@ import resource
 import shutil
 import struct
 import subprocess
+import sys
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from recorded import ACTION, FIT, STEPS, Config, episodes, events, transitions
 from tensorboardX.proto import event_pb2
 
 from tom.analysis.imagine import stored_model
-from tom.errors import UserError
+from tom.errors import TRY_LATER, UserError
 from tom.events import Collected, Evaluation, Field, KeptPolicy, Metrics, Tick, Weights
 from tom.record import RunReader, Store, checkpoint, decode, layout, manage
 from tom.record.export import export, export_small
@@ -96,6 +97,18 @@ def test_a_disk_that_is_full_during_an_export__is_named_and_nothing_is_left(
     assert not alive
     assert child.exitcode == 0
     assert list(out.iterdir()) == []
+
+
+def test_a_full_disk_asks_to_try_later(record, tmp_path: Path) -> None:
+    run = record()
+    words = ["-m", "tom", "runs", "export", run.run_id, "--store", str(run.path.parent)]
+    done = subprocess.run(
+        [sys.executable, *words, "--format", "json", "--out", str(tmp_path / "out")],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500)),
+        check=False,
+    )
+    assert done.returncode == TRY_LATER
+    assert not [*(tmp_path / "out").glob("*")]
 
 
 def test_a_recording_is_made_from_the_files(record, tmp_path: Path):
