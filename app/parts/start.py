@@ -312,7 +312,7 @@ def settings_line(run: RunReader) -> str:
 def head(run: RunReader, preset: str = "") -> str:
     """The card's first line as HTML; everything that came from a file is escaped."""
     shown = run.status.shown
-    tint = _STATE_TINTS.get(shown, "inherit")
+    tint = _STATE_TINTS.get(shown, "currentColor")
     learner = html.escape(" ".join(filter(None, (learner_label(run.learner), preset))))
     called = f" · {run.labels.name}" if run.labels.name else ""
     about = html.escape(f"{run.env} · seed {run.seed}{called}")

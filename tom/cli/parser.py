@@ -66,9 +66,7 @@ def add_training_options(
 
     env = ROAD if named(arguments, "--env") == {ROAD} else ""
     usual: BaseModel | None = None
-    if {"-h", "--help"}.intersection(
-        arguments
-    ):  # it shows the named task's defaults
+    if {"-h", "--help"}.intersection(arguments):  # it shows the named task's defaults
         asked = {name: named(arguments, f"--{name}") for name in ("env", "learner", "preset")}
         with suppress(UserError):  # without these, those of the classes are shown
             usual = resolve(
