@@ -224,7 +224,9 @@ def _card(run: RunReader, preset: str) -> None:
         _asked().discard(run.run_id)
         st.html(head(run, preset))
     st.progress(status.share, text=text.markdown(progress_line(run)))
-    widgets.metrics(figures(run))
+    with st.container(horizontal=True):  # a card of three in a row is too narrow for one line
+        for label, value in figures(run).items():
+            st.metric(label, value, width="content")
     # The run's record does not know the folder that this studio's terminal would need to be in.
     reason = status.reason.replace(f"tom train --resume {run.run_id}", resume(run))
     for words in (settings_line(run), reason, *status.warnings):
