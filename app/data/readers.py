@@ -153,7 +153,7 @@ def problems(run: RunReader) -> list[str]:
 
 def has_profiles(run: RunReader) -> bool:
     """Whether there is a profile, which may be damaged. Reads no file."""
-    return run.version("profiles")[0][1] > 0
+    return any(size for _, size in run.version("profiles"))
 
 
 def points(run: RunReader) -> dict[str, int]:

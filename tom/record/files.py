@@ -1,6 +1,7 @@
 """Atomic writes of files and folders, and append-only JSON lines, safe also after a kill."""
 
 import errno
+import gzip
 import json
 import math
 import os
@@ -9,6 +10,7 @@ import shutil
 import stat
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from io import BufferedIOBase
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -179,9 +181,16 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
+def open_lines(path: Path) -> BufferedIOBase:
+    """Open a file of JSON lines, or the compressed one in its place."""
+    packed = path.with_name(path.name + layout.PACKED)
+    return gzip.open(packed) if packed.exists() else path.open("rb")
+
+
 def read_json_lines(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
     """The rows of a JSON lines file, and the errors of the skipped lines."""
-    lines = path.read_bytes().split(b"\n")
+    with open_lines(path) as file:
+        lines = file.read().split(b"\n")
     rows: list[dict[str, Any]] = []
     problems: list[str] = []
     for number, line in enumerate(lines, start=1):

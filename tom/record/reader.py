@@ -38,8 +38,8 @@ Part = Literal[
 """what `RunReader.version` tells versions of; facts are configuration, status and labels"""
 FILES: dict[str, tuple[str, ...]] = {
     "facts": (layout.CONFIG, layout.STATUS, layout.LABELS),
-    "metrics": (layout.METRICS, layout.METRICS_TABLE),
-    "profiles": (layout.PROFILES,),
+    "metrics": (layout.METRICS, layout.METRICS_TABLE, layout.METRICS + layout.PACKED),
+    "profiles": (layout.PROFILES, layout.PROFILES + layout.PACKED),
     "notices": (layout.NOTICES,),
     "scene": (layout.SCENE,),
     "recordings": ("",),  # the folder itself, which every page needs for every run

@@ -5,6 +5,7 @@ parts of OPTIONAL unless requested, and what is not wanted of OPTIONAL and SERIE
 `config.json` lists the missing parts under `thinned`.
 """
 
+import gzip
 import re
 import shlex
 import shutil
@@ -66,7 +67,8 @@ def thin(
                 shutil.copyfile(reader.path / name, to / name)
         rows = {layout.METRICS: _chosen_rows(reader), layout.PROFILES: _chosen_profiles(reader)}
         for name, chosen in rows.items():
-            (to / name).write_bytes(b"".join(map(json_line, chosen)))
+            if lines := b"".join(map(json_line, chosen)):
+                (to / (name + layout.PACKED)).write_bytes(gzip.compress(lines, mtime=0))
         _optional(reader, to, "buffer", keep, without)
         terms = not _lacks(reader, to, "buffer")  # they explain a row's weight
         snapshots = [] if "snapshots" in without else _spread(reader.snapshot_steps(), SNAPSHOTS)

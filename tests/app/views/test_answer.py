@@ -16,6 +16,7 @@ from app.data.answer import Contrast, Side
 from tom.analysis.curves import Curve
 from tom.envs import ENVS
 from tom.record.decode import Profiles
+from tom.record.files import read_json_lines
 
 RUNS = Path(__file__).parents[3] / "runs"
 
@@ -37,7 +38,7 @@ def groups() -> tuple[list[Path], list[Path]]:
 
 
 def lines(path: Path, name: str) -> list[dict]:
-    return [json.loads(line) for line in (path / name).read_text().splitlines()]
+    return read_json_lines(path / name)[0]
 
 
 def at(step: float, curve: list[tuple[int, float]]) -> float:

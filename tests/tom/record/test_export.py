@@ -26,6 +26,7 @@ from tom.record.files import size_of
 from tom.record.integrity import verify
 from tom.record.recorder import Recorder
 from tom.record.rerun import viewer
+from tom.record.rerun.feed import Tail
 from tom.record.thin import OPTIONAL, coarse, half
 from tom.record.writer import RunWriter
 
@@ -132,6 +133,10 @@ def test_a_small_copy_reads_like_the_run(store: Store, record, tmp_path: Path):
     known = run.metrics().dropna(axis=1, how="all")
     pd.testing.assert_frame_equal(small.metrics(), known, rtol=1e-4)
     np.testing.assert_allclose(small.profiles().bins, run.profiles().bins, rtol=1e-4)
+    followed = [
+        row["env_step"] for rows in Tail(small.path / "metrics.jsonl").blocks() for row in rows
+    ]
+    assert followed == small.metrics()["env_step"].tolist()
     steps = small.snapshot_steps()
     assert steps[-1] == run.snapshot_steps()[-1]
     np.testing.assert_allclose(

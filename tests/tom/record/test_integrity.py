@@ -160,7 +160,7 @@ def test_a_run_that_has_not_finished_has_no_digests_and_a_small_copy_has_its_own
     assert (run.path / "digests.json").exists()
     copy = RunReader(export_small(run, tmp_path / "copies"))
     assert verify(copy) == []
-    flip(copy.path / "metrics.jsonl", 20)
+    flip(copy.path / "metrics.jsonl.gz", 40)
     assert "metrics.jsonl" in verify(copy)[0]
     with (
         pytest.raises(RuntimeError, match="ends"),

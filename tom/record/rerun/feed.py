@@ -21,7 +21,7 @@ from tom.envs import ROAD
 from tom.errors import UserError
 from tom.record import layout
 from tom.record.decode import numbers, profiles_of
-from tom.record.files import parse_json_line, replace
+from tom.record.files import open_lines, parse_json_line, replace
 from tom.record.reader import RunReader
 from tom.record.rerun.view import RerunView
 from tom.record.store import Store
@@ -49,7 +49,7 @@ class Tail:
         """
         while True:
             try:
-                with self._path.open("rb") as file:
+                with open_lines(self._path) as file:
                     if file.seek(0, os.SEEK_END) < self._offset:  # a resumed run writes them again
                         self._offset = 0
                     file.seek(self._offset)
