@@ -266,7 +266,6 @@ def weigh(
     seeds: Sequence[int] = (0, 1, 2),
     footprint: int = 1000,
     step: int | None = None,
-    random: str | None = None,
     collected_by: Sequence[str] = (),
     preset: str | None = None,
     settings: Mapping[str, Any] | None = None,
@@ -282,9 +281,9 @@ def weigh(
     begun = perf_counter()
     bring(env)
     plan = plan_weighing(
-        str(data), str(policy), Store(Path(store)), env=env, step=step, random=random,
-        collected_by=collected_by, preset=preset, settings=settings or {}, learners=learners,
-        seeds=seeds, footprint=footprint,
+        str(data), str(policy), Store(Path(store)), env=env, step=step, preset=preset,
+        collected_by=collected_by, settings=settings or {}, learners=learners, seeds=seeds,
+        footprint=footprint,
     )  # fmt: skip
     weighed = list(plan.carry_out(stepped))
     command, hours = f"tom.weigh({str(data)!r}, {str(policy)!r})", (perf_counter() - begun) / 3600

@@ -179,25 +179,6 @@ def test_the_rows_of_own_data_are_those_of_its_file_with_every_learners_weight(t
         made.rows("pmac-s5")
 
 
-def test_rows_that_a_weighing_keeps_are_all_of_them_at_a_step_too(tmp_path: Path):
-    """Random rows stand before those of the step, so that there are more than the step says."""
-    columns = {"obs": 4, "action": 1, "next_obs": 4}
-    rows = {name: np.full((STEP, size), 0.5, np.float32) for name, size in columns.items()}
-    flags = {name: np.zeros(STEP, np.float32) for name in ("reward", "terminated", "truncated")}
-    np.savez(tmp_path / "random.npz", allow_pickle=False, **rows, **flags)
-    out = tmp_path / "weighings" / "both"
-    of = ["--step", str(STEP), "--random", str(tmp_path / "random.npz"), "--learner", "mle"]
-    where = ["--store", str(GALLERY), "--out", str(out)]
-    by = ["--policy", "random", "--seeds", "0", "--footprint", "50"]
-    assert main(["weigh", RUN, *of, *by, *where]) == 0
-    found = weighed(out)
-    assert (found.report["step"], found.report["rows"]) == (STEP, 2 * STEP)
-    run = RunReader(GALLERY / RUN).buffer()[0]
-    assert len(found.transitions) == 2 * STEP
-    assert found.transitions["obs_0"].tolist()[:STEP] == [0.5] * STEP
-    np.testing.assert_array_equal(found.transitions["obs_0"][STEP:], np.asarray(run.obs)[:STEP, 0])
-
-
 def test_what_is_neither_a_run_nor_a_weighing(tmp_path: Path):
     with pytest.raises(UserError, match="no run or weighing 'nothing'"):
         tom.load("nothing", store=tmp_path)

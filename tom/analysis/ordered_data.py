@@ -191,42 +191,6 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
     )
 
 
-def after_random(random: OrderedData, ordered: OrderedData) -> OrderedData:
-    """As many random rows as `ordered` has, then `ordered`: the paper's two halves.
-
-    Raises UserError when `random` holds fewer, rows of another task, or a run's whose policy, and
-    not exploration, collected some of them.
-    """
-    n = len(ordered)
-    if random.env != ordered.env:
-        raise UserError(
-            f"{random.name} is of {random.env}, {ordered.name} of {ordered.env}: "
-            "name random data of the same task"
-        )
-    if len(random) < n:
-        raise UserError(f"{random.name} holds {len(random)} rows, {ordered.name} needs {n} of them")
-    explored = int((random.policy_version[:n] == 0).sum())
-    if random.stored and explored < n:
-        raise UserError(
-            f"of the first {n} rows of {random.name} only {explored} are random, the others its "
-            "policy's: name a run that explores longer, or a recording of SAC"
-        )
-    rows = TensorTransitions.join([random.transitions[:n], ordered.transitions])
-    rows.truncated[n - 1] = 1 - rows.terminated[n - 1]
-    version = ordered.policy_version - ordered.policy_version.min() + 1
-    own = ordered.behaviour
-    return OrderedData(
-        name=f"{random.name}+{ordered.name}",
-        env=ordered.env,
-        transitions=rows,
-        policy_version=torch.cat((torch.zeros(n, dtype=version.dtype), version)),
-        initial_obs=torch.as_tensor(initial_obs(rows)),
-        card=ordered.card,
-        ordered_from=n,
-        behaviour=None if own is None else torch.cat((torch.full_like(own, torch.nan), own)),
-    )
-
-
 def to_unit_range(action: NDArray, known: Task) -> NDArray[np.float32]:
     """Actions (N, A) in the task's own control range, rescaled to [-1, 1]."""
     low, high = action_bounds(known)

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tom.analysis.ordered_data import OrderedData, action_bounds, after_random, find_run, load_data
+from tom.analysis.ordered_data import OrderedData, action_bounds, find_run, load_data
 from tom.config import ModelConfig, OnlineConfig, RunConfig, TomConfig
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
@@ -248,7 +248,6 @@ def plan_weighing(
     footprint: int,
     env: str | None = None,
     step: int | None = None,
-    random: str | None = None,
     collected_by: Sequence[str] = (),
     preset: str | None = None,
     settings: Mapping[str, Any],
@@ -260,7 +259,7 @@ def plan_weighing(
     """
     if footprint < 1:
         raise UserError(f"a footprint of {footprint} steps is none: it takes at least 1")
-    rows = _data(data, policy, store, env, step, random)
+    rows = _data(data, policy, store, env, step)
     known = task(rows.env)
     preset = preset or (EXACT if step is None else OWN)
     usual = _preset(preset, data, store, rows.env)
@@ -321,17 +320,15 @@ def with_collectors(data: OrderedData, policies: Sequence[PolicyOfInterest]) -> 
     return replace(data, behaviour=behaviour)
 
 
-def _data(
-    name: str, policy: str, store: Store, env: str | None, step: int | None, random: str | None
-) -> OrderedData:
-    """The data, of the task `env`, else of the policy's, behind as much random data if asked."""
+def _data(name: str, policy: str, store: Store, env: str | None, step: int | None) -> OrderedData:
+    """The data, of the task `env`, else of the policy's."""
     if env is None and policy != RANDOM and not is_foreign(policy):
         run = find_run(policy, store)
         env = read_policy(Path(policy)).env if run is None else run.env
     data = load_data(name, store, env, step)
     if data.env != (env or data.env):
         raise UserError(f"{data.name} is of {data.env}, not of {env}: name a policy of {data.env}")
-    return after_random(load_data(random, store, data.env), data) if random else data
+    return data
 
 
 def _preset(preset: str, data: str, store: Store, env: str) -> RunConfig:

@@ -63,7 +63,6 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "--step", type=whole(1), metavar="N",
         help="of a run: its buffer and its policy at the model fit of env step N [at the end]",
     )  # fmt: skip
-    parser.add_argument("--random", help="random data put first, as much as DATA has")
     parser.add_argument(
         "--collected-by", nargs="+", default=[], metavar="POLICY", help=COLLECTED_BY
     )
@@ -93,9 +92,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 def run(args: argparse.Namespace) -> int:
     store = Store(args.store)
     plan = plan_weighing(
-        args.data, args.policy, store, env=args.env, step=args.step, random=args.random,
-        collected_by=args.collected_by, preset=args.preset, settings=overrides(args),
-        learners=args.learner, seeds=args.seeds, footprint=args.footprint,
+        args.data, args.policy, store, env=args.env, step=args.step, preset=args.preset,
+        collected_by=args.collected_by, settings=overrides(args), learners=args.learner,
+        seeds=args.seeds, footprint=args.footprint,
     )  # fmt: skip
     data, by = plan.data.name, Path(args.policy).name.replace(":", ".")
     at = "" if args.step is None else f"-at-{args.step}"

@@ -269,7 +269,7 @@ def write(
             # Readers of runs find the task there.
             said = {"schema": layout.SCHEMA, "env": data.env, "task": description(data.env)}
             # For those who weigh these rows from here.
-            said |= {"data": data.name, "ordered_from": data.ordered_from}
+            said |= {"data": data.name}
             replace_json(folder / layout.CONFIG, said, sync=False)
             save_scene(data.env, folder)
         save(profile_figure({data.name: panels}), folder, FIGURE)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from studio_pages import Show, draw, figures, in_buffer, map_of, on_one_buffer
+from studio_pages import Show, draw, figures, in_buffer, on_one_buffer
 
 from app.data import weighings
 from app.router import VIEWS, View
@@ -83,21 +83,6 @@ def test_the_command_on_the_page_weighs_the_same_rows_again(
     same = ("data", "rows_digest", "env", "policy", "preset", "rows")
     assert [new[name] for name in same] == [old[name] for name in same]
     assert new["medians"] == old["medians"]
-
-
-def test_a_weighing_of_random_rows_and_those_of_a_step_shows_all_its_rows(
-    weighed: Path, tmp_path: Path, show: Show
-):
-    of = [GALLERY_RUN, "--step", str(N), "--random", str(weighed.parent / "my buffer.npz")]
-    by = ["--policy", "random", "--footprint", "50", "--learner", "pmac", "--seeds", "0"]
-    out = ["--out", str(tmp_path / "weighings" / "both"), "--store", str(weighed)]
-    assert main(["weigh", *of, *by, *out]) == 0
-    (found,) = weighings.datasets(str(tmp_path))
-    (made,) = weighings.of_run(found, 2 * N)
-    assert (made.step, made.end, made.missing(2 * N)) == (N, 2 * N, "")
-    show(tmp_path)
-    app = in_buffer(run=found.run_id, weights="PMAC s0, both")
-    assert map_of(app)["sources"][0]["count"] == 2 * N
 
 
 def test_weights_that_cannot_be_read_are_said(weighed: Path, tmp_path: Path, show: Show):

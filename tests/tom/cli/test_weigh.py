@@ -16,14 +16,13 @@ from gymnasium.envs.classic_control import PendulumEnv
 from gymnasium.wrappers import RescaleAction
 
 from tom.analysis import weighing
-from tom.analysis.ordered_data import action_bounds, after_random, load_data, of_run, to_unit_range
+from tom.analysis.ordered_data import action_bounds, load_data, of_run, to_unit_range
 from tom.analysis.weighing import plan_weighing
 from tom.cli import main
 from tom.config import PmacConfig, RunConfig
 from tom.data.sampling import bin_means
 from tom.data.transitions import Transitions
 from tom.envs import task
-from tom.errors import UserError
 from tom.exams.energy import footprint_match, step_scaling
 from tom.learners import follows_behaviour
 from tom.learners.base import Weighting
@@ -218,17 +217,9 @@ def test_a_d4rl_file_in_the_tasks_own_units(store: Path, tmp_path: Path):
     data = load_data(str(path), Store(store), "inverted-pendulum")
     np.testing.assert_allclose(data.transitions.action, run.buffer()[0].action, atol=1e-6)
     assert data.ordered_from == 0
-    random_first = after_random(data, data)
-    assert random_first.ordered_from == len(data)
-    assert random_first.policy_version[len(data)] == 1
     out = tmp_path / "out"
     assert weigh(store, str(path), "--policy", "sac", "--seeds", "0", "--out", str(out)) == 0
     assert json.loads((out / "report.json").read_text())["results"][0]["random_mean"] is None
-    both = ("--random", str(path), "--env", "inverted-pendulum")
-    both += ("--out", str(tmp_path / "both"))
-    assert weigh(store, str(path), "--policy", "random", "--seeds", "0", *both) == 0
-    report = json.loads((tmp_path / "both" / "report.json").read_text())
-    assert report["rows"] == 2 * report["ordered_from"] == 4 * STEPS
 
 
 def test_shuffled_rows_come_back_in_order(store: Path):
@@ -282,16 +273,6 @@ def test_a_preset_is_that_of_a_training(preset: str, decay: float, store: Path):
     assert (plan.config.tom, plan.config.pmac) == (trained.tom, trained.pmac)
     assert plan.config.tom.q_hidden == 64  # the task's, as trainings have it
     assert plan.config.pmac.decay == decay
-
-
-def test_rows_of_a_policy_are_not_called_random(store: Path):
-    data = of_run(RunReader(store / "trained"))
-    first = int((data.policy_version == 0).sum())
-    later = replace(data, transitions=data.transitions[: first + 1])
-    later = replace(later, policy_version=data.policy_version[: first + 1])
-    with pytest.raises(UserError, match=f"of the first {first + 1} rows of trained only {first}"):
-        after_random(data, later)
-    assert after_random(replace(data, stored=False), later).ordered_from == first + 1
 
 
 # Data and policies that other libraries made
