@@ -59,32 +59,33 @@ class StoredPolicy(Actor):
     def __init__(self, arrays: Arrays) -> None:
         """Raises ValueError or KeyError if the arrays are not those of a policy."""
         self.env = str(arrays["env"])
-        actor, sizes = _actor(arrays)
+        self.actor, sizes = _network({n: array[None] for n, array in _layers(arrays).items()})
         if sizes[-1] % 2:
             raise ValueError("its last layer is not a mean and a deviation of each action")
         self.obs_dim, self.action_dim = sizes[0], sizes[-1] // 2
-        super().__init__(actor)
+        super().__init__(self.actor)
+        self.critic: StackedMLP | None = None
         self.value_gradient: Callable[[Tensor], Tensor] | None = None
         if layers := _layers(arrays, CRITIC):
-            critic, sizes = _network(layers)
+            self.critic, sizes = _network(layers)
             if (sizes[0], sizes[-1]) != (self.obs_dim + self.action_dim, 1):
                 raise ValueError("its critics do not fit its actor")
-            self.value_gradient = ActorCritic(actor, critic).value_gradient
+            self.value_gradient = ActorCritic(self.actor, self.critic).value_gradient
 
 
 def resumed_sac(
-    arrays: Arrays, config: SacConfig, temperature: float, generator: torch.Generator
+    policy: StoredPolicy, config: SacConfig, temperature: float, generator: torch.Generator
 ) -> Sac:
     """SAC that goes on with the file's actor and critics.
 
     Its target critics equal its critics and its optimisers are new: the file holds neither. Raises
-    ValueError if there are no critics, RuntimeError if `config` has other layers.
+    RuntimeError if `config` has other layers.
     """
-    actor, sizes = _actor(arrays)
-    critic, _ = _network(_layers(arrays, CRITIC))
-    sac = Sac(sizes[0], sizes[-1] // 2, config, generator)
-    for net, stored in ((sac.actor, actor), (sac.critic, critic), (sac.target_critic, critic)):
-        net.load_state_dict(stored.state_dict())
+    assert policy.critic is not None, "files of earlier versions have none"
+    sac = Sac(policy.obs_dim, policy.action_dim, config, generator)
+    sac.actor.load_state_dict(policy.actor.state_dict())
+    for net in (sac.critic, sac.target_critic):
+        net.load_state_dict(policy.critic.state_dict())
     sac.log_temperature.fill_(log(temperature))
     return sac
 
@@ -135,10 +136,6 @@ def read_policy(path: Path) -> StoredPolicy:
 def _layers(arrays: Arrays, prefix: str = "") -> dict[str, NDArray]:
     parts = prefix + "weight_", prefix + "bias_"
     return {n.removeprefix(prefix): array for n, array in arrays.items() if n.startswith(parts)}
-
-
-def _actor(arrays: Arrays) -> tuple[StackedMLP, list[int]]:
-    return _network({name: array[None] for name, array in _layers(arrays).items()})
 
 
 def _network(layers: Arrays) -> tuple[StackedMLP, list[int]]:

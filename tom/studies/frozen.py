@@ -217,10 +217,15 @@ def examined(case: Case) -> Row:
 def _moment(case: Case) -> tuple[OrderedData, StoredPolicy, TensorTransitions, Tensor]:
     """What all ways share: buffer, policy, its fresh transitions, and their generator's state."""
     run, streams = RunReader(case.run), Streams(case.stream_seed)
-    policy = read_policy(case.run / layout.policy(case.step))
+    policy = policy_at(run, case.step)
     start, generator = streams.integer("test env"), streams.torch("test")
     anew = footprint(task(run.env), policy, case.rows, start, generator).transitions.torch()
     return buffer_at(run, case.step), policy, anew, generator.get_state()
+
+
+def policy_at(run: RunReader, step: int) -> StoredPolicy:
+    """The policy that was kept at a fit. Raises UserError if its file is damaged."""
+    return read_policy(run.path / layout.policy(step))
 
 
 def buffer_at(run: RunReader, step: int) -> OrderedData:

@@ -14,7 +14,7 @@ buffer, unweighted. Runs must be whole, or small copies made with --keep buffer 
 """
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import isfinite, nan
@@ -31,19 +31,18 @@ from tom.analysis.curves import curve_points
 from tom.config import OnlineConfig, SacConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.transitions import TensorTransitions
-from tom.data.unpack import DAMAGE, read_arrays
 from tom.dynamics import DynamicsModel
 from tom.dynamics.ending import EndingHead
 from tom.envs import Termination, task
 from tom.envs.termination import learns_ends, rule
-from tom.errors import UserError, check_known, reason
+from tom.errors import UserError, check_known
 from tom.learners.base import Weighting
 from tom.policy.collect import Evaluator
 from tom.policy.rollout import mixed_batches, roll_out, start_states
 from tom.policy.sac import Sac
-from tom.policy.stored import CRITIC, StoredPolicy, resumed_sac
+from tom.policy.stored import resumed_sac
 from tom.readable import whole
-from tom.record import RunReader, layout
+from tom.record import RunReader
 from tom.reports.figures import learner_colour, strips
 from tom.rng import Streams
 from tom.studies.frozen import (
@@ -56,6 +55,7 @@ from tom.studies.frozen import (
     config_of,
     fitted,
     named,
+    policy_at,
     sac_begins,
     weighting_of,
 )
@@ -119,11 +119,7 @@ def _runs(args: Namespace) -> list[RunReader]:
     Raises UserError if there are none, or the rule that ended a run's modelled episodes is unknown.
     """
     runs = chosen_runs(args)
-    able = [
-        run
-        for run in runs
-        if all(f"{CRITIC}weight_0" in _arrays(run, step) for step in run.policy_steps())
-    ]
+    able = [run for run in runs if all(policy_at(run, at).critic for at in run.policy_steps())]
     if not able or (args.runs and len(able) < len(runs)):
         lacking = next(run.run_id for run in runs if run not in able)
         raise UserError(f"run {lacking} kept no critics with its policies: name others")
@@ -147,12 +143,8 @@ def improved(case: Case) -> Row:
     the weights in each of `PLACES`; with uniform weights these are the same. NaN: SAC diverged.
     """
     run, way, seed = RunReader(case.run), WAYS[case.way], case.stream_seed
-    config, data, arrays = (
-        config_of(run, way, seed),
-        buffer_at(run, case.step),
-        _arrays(run, case.step),
-    )
-    rows, policy = data.transitions, StoredPolicy(arrays)
+    config, data = config_of(run, way, seed), buffer_at(run, case.step)
+    rows, policy = data.transitions, policy_at(run, case.step)
     weighting = weighting_of(data, policy, config, way)
     # Weights of 1 rather than none: without any, starts are drawn with other random numbers.
     even = torch.ones(len(rows))
@@ -168,7 +160,7 @@ def improved(case: Case) -> Row:
     ends = _ends(run, rows, config)
 
     def during(fit: DynamicsModel, weights: Tensor) -> float:
-        sac = resumed_sac(arrays, settings, temperature, Streams(seed).torch("sac"))
+        sac = resumed_sac(policy, settings, temperature, Streams(seed).torch("sac"))
         return _return_during(sac, fit, ends, rows, weights, config, case)
 
     weighted = fitted(case.models[0], rows, weighting, config)
@@ -181,14 +173,6 @@ def improved(case: Case) -> Row:
     plain = fitted(case.models[0], rows, Weighting(even), config)
     in_starts = during(plain, starts)
     return found | {"model": during(weighted, even), "starts": in_starts, "both": both}
-
-
-def _arrays(run: RunReader, step: int) -> Mapping[str, NDArray[Any]]:
-    path = run.path / layout.policy(step)
-    try:
-        return read_arrays(path)
-    except DAMAGE as error:
-        raise UserError(f"{path} is no stored policy ({reason(error)}): name another run") from None
 
 
 def temperature_at(step: int, steps: NDArray[Any], values: NDArray[Any]) -> float:
