@@ -195,35 +195,22 @@ def compute(
     cases: Sequence[Case],
     told: Callable[[Outcome], str],
 ) -> list[Outcome]:
-    """`work` of every case (`each`); `told` names a finished one to the user."""
-    make_folder(args.out)
-    done: list[Outcome] = []
-    for one in each(work, cases, args.jobs, args.out):
-        done.append(one)
-        say(f"{len(done)} of {len(cases)}: {told(one)}")
-    return done
-
-
-def each(
-    work: Callable[[Case], Outcome], cases: Sequence[Case], jobs: int, out: Path
-) -> Iterator[Outcome]:
-    """`work(case)` of every case in order, `jobs` at a time, in single-threaded processes.
+    """`work(case)` of every case in order, `args.jobs` at a time, in single-threaded processes.
 
     `work` is a module's function with an annotated return type, made of primitives, dicts,
     arrays and dataclasses; `repr(case)` must determine the outcome. Finished outcomes are stored in
-    `out/cases` at once, and the next call reads them. Running processes end when the caller stops
-    or is killed.
+    `args.out/cases` at once, and the next call reads them; `told` names one to the user. Running
+    processes end when the caller stops or is killed.
     """
-    folder = out / FOLDER
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder := args.out / FOLDER)
     code = code_hash()
     asked = (f"{work.__module__}.{work.__qualname__} {case!r} {code}" for case in cases)
     paths = [folder / f"{sha256(one.encode()).hexdigest()[:20]}.pt" for one in asked]
     kind = get_type_hints(work)["return"]
     stored = {path: load(path, kind) for path in paths}
-    others = set(active_children())
+    others, done = set(active_children()), list[Outcome]()
     named = (os.getpid(), brought(), brought_rules())
-    pool = ProcessPoolExecutor(jobs, get_context("spawn"), _prepare, named)
+    pool = ProcessPoolExecutor(args.jobs, get_context("spawn"), _prepare, named)
     try:
         ahead = {
             path: pool.submit(_keep, work, case, path)
@@ -231,7 +218,9 @@ def each(
             if stored[path] is None
         }
         for path in paths:
-            yield ahead[path].result() if path in ahead else stored[path]
+            done.append(ahead[path].result() if path in ahead else stored[path])
+            say(f"{len(done)} of {len(cases)}: {told(done[-1])}")
+        return done
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
         for child in set(active_children()) - others:

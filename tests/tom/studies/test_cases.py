@@ -2,6 +2,8 @@
 
 import os
 import signal
+from argparse import Namespace
+from collections.abc import Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +17,7 @@ from tom.envs import user_code
 from tom.studies import study as module
 from tom.studies.progression import Result
 from tom.studies.road import Story
-from tom.studies.study import FOLDER, each, load, save
+from tom.studies.study import FOLDER, compute, load, save
 from tom.studies.tabular_estimates import Estimate
 
 
@@ -55,14 +57,18 @@ def write(step: Step) -> Written:
     return Written(step.letter * 2, (inner,), np.arange(3, dtype=np.float32))
 
 
+def carried_out(steps: Sequence[Step], folder: Path) -> list[Written]:
+    return compute(Namespace(out=folder, jobs=1), write, steps, lambda one: one.text)
+
+
 @pytest.mark.slow
 def test_what_is_finished_survives_a_killed_process(tmp_path: Path):
     log = tmp_path / "log"
     a, b, c = (Step(letter, log) for letter in "abc")
     with pytest.raises(BrokenProcessPool):
-        list(each(write, [a, b, Step("x", log, fatal=True), c], 1, tmp_path))
+        carried_out([a, b, Step("x", log, fatal=True), c], tmp_path)
     assert log.read_text() == "ab"
-    again = list(each(write, [c, b, a], 1, tmp_path))
+    again = carried_out([c, b, a], tmp_path)
     assert [one.text for one in again] == ["cc", "bb", "aa"]
     for one in again:
         assert one.array.tolist() == [0, 1, 2]
@@ -77,9 +83,9 @@ def test_what_is_finished_survives_a_killed_process(tmp_path: Path):
 @pytest.mark.slow
 def test_other_code_computes_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     log = tmp_path / "log"
-    assert [one.text for one in each(write, [Step("a", log)], 1, tmp_path)] == ["aa"]
+    assert [one.text for one in carried_out([Step("a", log)], tmp_path)] == ["aa"]
     monkeypatch.setattr(module, "code_hash", lambda: "other")
-    assert [one.text for one in each(write, [Step("a", log)], 1, tmp_path)] == ["aa"]
+    assert [one.text for one in carried_out([Step("a", log)], tmp_path)] == ["aa"]
     assert log.read_text() == "aa"
 
 
