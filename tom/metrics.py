@@ -78,7 +78,6 @@ METRICS: dict[str, str] = {
     "behaviour/divergence": "KL of the current policy from the one that drew a row's action, at the row's state, nats (median)",
     "behaviour/policies": "historical policies that PDML tells apart",
     "behaviour/clipped": "share of rows whose action's importance ratio was clipped",
-    "weights/degenerate": "fits so far whose weights were unusable and fell back to uniform",
     "discriminator/loss": "cross entropy of the discriminator, last steps",
     "discriminator/accuracy": "share of transitions the discriminator puts on the right side",
     "discriminator/calibration": "expected calibration error of the discriminator, last steps (0: its odds are true, or .5 for every "
@@ -111,7 +110,7 @@ METRICS: dict[str, str] = {
 OURS = frozenset(
     name
     for name in ("env_step", *METRICS)
-    if not name.startswith(("discriminator/", "dual/", "weights/degenerate", "weights/raw_mean"))
+    if not name.startswith(("discriminator/", "dual/", "weights/raw_mean"))
 )
 """the names that a training records itself, whatever its learner"""
 

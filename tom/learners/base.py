@@ -5,7 +5,7 @@ weight of each transition (and dimension).
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import torch
@@ -199,24 +199,6 @@ class Learner(Protocol):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
         ...
-
-
-class Counting:
-    """A learner that counts the fits whose weights were degenerate."""
-
-    degenerate = 0
-
-    def counted(self, weighting: Weighting) -> Weighting:
-        """The same, with the count so far as a metric."""
-        self.degenerate += DEGENERATE in weighting.notices
-        count = {"weights/degenerate": float(self.degenerate)}
-        return replace(weighting, metrics={**weighting.metrics, **count})
-
-    def state_dict(self) -> dict[str, Any]:
-        return {"degenerate": self.degenerate}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.degenerate = state["degenerate"]
 
 
 class Stateless:

@@ -17,8 +17,6 @@ from tom.metrics import OURS
 
 UNIT_MEAN = 1e-3
 """weights whose mean differs from 1 by more are divided by it"""
-COUNT = "weights/degenerate"
-"""the metric of that name, and its place in a learner's state"""
 
 
 class OwnLearner:
@@ -29,7 +27,6 @@ class OwnLearner:
         self._what = f"learner '{name}'"
         with running(self._what):
             self._learner = make()
-        self._degenerate = 0
         self.state_dict()  # a state that no checkpoint can hold is found here, not at the resume
 
     def weigh(self, context: FitContext) -> Weighting:
@@ -44,11 +41,8 @@ class OwnLearner:
             answer = self._of_our_types(given, context.replay.obs)
         self.state_dict()  # it may have another form after the first fit
         if not _usable(answer):
-            self._degenerate += 1
             plain = uniform(context.replay, ready=False)
             answer = replace(plain, metrics=answer.metrics, notices=(*answer.notices, DEGENERATE))
-        if self._degenerate:
-            answer = replace(answer, metrics={**answer.metrics, COUNT: float(self._degenerate)})
         return self._of_mean_one(answer)
 
     def state_dict(self) -> dict[str, Any]:
@@ -71,12 +65,11 @@ class OwnLearner:
                 "(torch.from_numpy), Python's own numbers, texts, lists and dicts of them "
                 f"({reason(error)})"
             ) from error
-        return {**state, COUNT: self._degenerate} if self._degenerate else state
+        return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        self._degenerate = int(state.get(COUNT, 0))
         with running(self._what):
-            self._learner.load_state_dict({k: v for k, v in state.items() if k != COUNT})
+            self._learner.load_state_dict(state)
 
     def _of_our_types(self, given: Weighting, obs: Tensor) -> Weighting:
         """`given` with arrays like obs (N, O) and plain numbers and texts."""

@@ -8,11 +8,11 @@ from typing import Any
 import torch
 
 from tom.config import TomConfig
-from tom.learners.base import Counting, FitContext, Weighting, uniform, weighted
+from tom.learners.base import FitContext, Weighting, uniform, weighted
 from tom.learners.discriminator import Discriminator, RatioProblem
 
 
-class RatioLearner(Counting):
+class RatioLearner:
     """exp of the discriminator's logit, normalised; the settings are those of TOM's discriminator.
 
     Uniform, and not ready, until the policy has taken `config.warmup` steps in the environment.
@@ -33,11 +33,10 @@ class RatioLearner(Counting):
         net, metrics = ratio.solve(self.discriminator, context.generator)
         r = ratio.log_ratio(net)
         raw = (r - r.max()).exp()
-        return self.counted(weighted(raw, log_ratio=r, clipped=True, metrics=metrics))
+        return weighted(raw, log_ratio=r, clipped=True, metrics=metrics)
 
     def state_dict(self) -> dict[str, Any]:
-        return {"discriminator": self.discriminator.state_dict(), **super().state_dict()}
+        return {"discriminator": self.discriminator.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.discriminator.load_state_dict(state["discriminator"])
-        super().load_state_dict(state)

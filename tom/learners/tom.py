@@ -14,7 +14,7 @@ from torch import Tensor
 from tom.config import TomConfig
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions, Transitions
-from tom.learners.base import Counting, FitContext, Policy, Weighting, uniform, weighted
+from tom.learners.base import FitContext, Policy, Weighting, uniform, weighted
 from tom.learners.discriminator import Discriminator, RatioProblem, membership_reward
 from tom.learners.dual import DualProblem, QFunction
 from tom.learners.terms import divergence
@@ -112,7 +112,7 @@ def _networks(
     return Discriminator(*given), QFunction(*given)
 
 
-class TomLearner(Counting):
+class TomLearner:
     """Occupancy weights, with a Q that is trained further at every fit.
 
     Uniform, and not ready, until the policy has taken `config.warmup` steps in the environment.
@@ -131,7 +131,7 @@ class TomLearner(Counting):
             self.discriminator.restart(self.discriminator.fresh(context.generator))
         if self.config.q_reset or self.config.q_holdout:  # an old Q has seen the held-out rows
             self.q.restart(self.q.fresh(context.generator))
-        weighting = estimate(
+        return estimate(
             self.discriminator,
             self.q,
             context.replay,
@@ -140,13 +140,10 @@ class TomLearner(Counting):
             context.initial_obs,
             context.generator,
         )
-        return self.counted(weighting)
 
     def state_dict(self) -> dict[str, Any]:
-        nets = {"discriminator": self.discriminator.state_dict(), "q": self.q.state_dict()}
-        return {**nets, **super().state_dict()}
+        return {"discriminator": self.discriminator.state_dict(), "q": self.q.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.discriminator.load_state_dict(state["discriminator"])
         self.q.load_state_dict(state["q"])
-        super().load_state_dict(state)

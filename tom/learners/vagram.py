@@ -8,7 +8,7 @@ from torch import Tensor
 from tom.config import VagramConfig
 from tom.data.sampling import normalise
 from tom.data.scaling import Scaling
-from tom.learners.base import DEGENERATE, Counting, FitContext, Weighting, uniform
+from tom.learners.base import DEGENERATE, FitContext, Stateless, Weighting, uniform
 from tom.nn.mlp import rows_at_once
 
 CHUNK = 4096  # rows differentiated at once; they stay in the processor's cache
@@ -42,7 +42,7 @@ def clip_rows(per_dim: Tensor, quantile: float) -> Tensor:
     return per_dim * factor[:, None]
 
 
-class VagramLearner(Counting):
+class VagramLearner(Stateless):
     """Value-gradient weights for each transition and state dimension.
 
     Uniform, and not ready, while there is no value function or nothing was collected on policy.
@@ -60,4 +60,4 @@ class VagramLearner(Counting):
         per_dim, degenerate = normalise(clip_rows(raw, self.config.clip_quantile).flatten())
         per_dim, notices = per_dim.view_as(raw), (DEGENERATE,) if degenerate else ()
         weights = per_dim.mean(1)
-        return self.counted(Weighting(weights, per_dim, ready=not degenerate, notices=notices))
+        return Weighting(weights, per_dim, ready=not degenerate, notices=notices)

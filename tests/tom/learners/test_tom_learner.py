@@ -81,16 +81,14 @@ def test_q_goes_on_from_fit_to_fit_unless_reset():
 
 
 @pytest.mark.parametrize("bias", [1e6, float("nan")])
-def test_unusable_weights_fall_back_to_uniform_are_counted_and_told(bias):
+def test_unusable_weights_fall_back_to_uniform_and_are_told(bias):
     tom = learner()
-    for fits in (1, 2):
-        with torch.no_grad():  # y = r - (1 - g) Q far below -1 everywhere, or not a number
-            tom.q.net.biases[-1].fill_(bias)
-        found = tom.weigh(context(rows(200)))
-        assert not found.ready
-        assert (found.weights == 1).all()
-        assert found.metrics["weights/degenerate"] == fits
-        assert "degenerate-weights" in dict(found.notices)
+    with torch.no_grad():  # y = r - (1 - g) Q far below -1 everywhere, or not a number
+        tom.q.net.biases[-1].fill_(bias)
+    found = tom.weigh(context(rows(200)))
+    assert not found.ready
+    assert (found.weights == 1).all()
+    assert "degenerate-weights" in dict(found.notices)
 
 
 def test_starts_that_the_replay_never_saw_are_told():
