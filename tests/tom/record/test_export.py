@@ -133,9 +133,7 @@ def test_a_small_copy_reads_like_the_run(store: Store, record, tmp_path: Path):
     known = run.metrics().dropna(axis=1, how="all")
     pd.testing.assert_frame_equal(small.metrics(), known, rtol=1e-4)
     np.testing.assert_allclose(small.profiles().bins, run.profiles().bins, rtol=1e-4)
-    followed = [
-        row["env_step"] for rows in Tail(small.path / "metrics.jsonl").blocks() for row in rows
-    ]
+    followed = [row["env_step"] for row in Tail(small.path / "metrics.jsonl").rows()]
     assert followed == small.metrics()["env_step"].tolist()
     steps = small.snapshot_steps()
     assert steps[-1] == run.snapshot_steps()[-1]

@@ -7,12 +7,11 @@ run folders like any reader: trainings do not know of them, and they may start l
 import logging
 import os
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import rerun as rr
 
@@ -29,7 +28,9 @@ from tom.record.store import Store
 POLL_S = 1.0
 WRITTEN_S = 600.0
 """seconds in which Rerun must write the rest of a recording"""
-BLOCK_BYTES = 1_000_000
+END, END_BYTES = b"RRF2FOOT", 16
+"""what stands among the last bytes of a whole recording"""
+ROWS = 256  # of metrics sent together, because a viewer takes a second for some hundred chunks
 
 _log = logging.getLogger(__name__)
 
@@ -42,28 +43,23 @@ class Tail:
         self._path = path
         self._offset = offset
 
-    def blocks(self) -> Iterator[list[dict[str, Any]]]:
-        """New complete rows in blocks of a megabyte, until there are no more for now.
+    def rows(self) -> list[dict[str, Any]]:
+        """New complete rows; damaged ones are left out.
 
-        Damaged rows are skipped. A file that became shorter is read again from the start.
+        A file that became shorter is read again from the start: a resumed run writes it again.
         """
-        while True:
-            try:
-                with open_lines(self._path) as file:
-                    if file.seek(0, os.SEEK_END) < self._offset:  # a resumed run writes them again
-                        self._offset = 0
-                    file.seek(self._offset)
-                    text = file.read(BLOCK_BYTES)
-                    while text and b"\n" not in text and (more := file.read(BLOCK_BYTES)):
-                        text += more
-            except OSError:  # it does not exist yet
-                return
-            whole = text[: text.rfind(b"\n") + 1]
-            if not whole:
-                return
-            self._offset += len(whole)
-            rows = map(parse_json_line, whole.splitlines())
-            yield [row for row in rows if row and isinstance(row.get("env_step"), int)]
+        try:
+            with open_lines(self._path) as file:
+                if file.seek(0, os.SEEK_END) < self._offset:
+                    self._offset = 0
+                file.seek(self._offset)
+                text = file.read()
+        except OSError:  # it does not exist yet
+            return []
+        whole = text[: text.rfind(b"\n") + 1]
+        self._offset += len(whole)
+        rows = map(parse_json_line, whole.splitlines())
+        return [row for row in rows if row and isinstance(row.get("env_step"), int)]
 
 
 class Follower:
@@ -92,15 +88,15 @@ class Follower:
 
         If a file of the run cannot be shown, its name is logged, and the others follow.
         """
-        for rows in self._metrics.blocks():
-            for row in rows:
+        rows = self._metrics.rows()
+        for first in range(0, len(rows), ROWS):
+            for row in rows[first : first + ROWS]:
                 self._view.metrics(row["env_step"], numbers(row))
             self._view.flush()
             yield
-        for rows in self._profiles.blocks():
-            profiles = profiles_of(rows)
-            for step, bins in zip(profiles.env_step.tolist(), profiles.bins, strict=True):
-                self._view.profile(step, bins)
+        profiles = profiles_of(self._profiles.rows())
+        for step, bins in zip(profiles.env_step.tolist(), profiles.bins, strict=True):
+            self._view.profile(step, bins)
             yield
         for name, step, draw in self._files():
             if step > self._after and name not in self._shown:
@@ -151,43 +147,23 @@ def stream(run: RunReader) -> Iterator[bytes]:
 
 
 def write(reader: RunReader, path: Path) -> None:
-    """Write the whole recording of a run as one file. Raises OSError if the disk is full."""
-    replace(path, partial(_record, reader), sync=False)
+    """Write the whole recording of a run as one file. Raises OSError if it cannot be written."""
+    replace(path, lambda file: _record(reader, Path(file.name)), sync=False)
 
 
-def _record(reader: RunReader, file: BinaryIO) -> None:
-    """Let Rerun write into a pipe, from which the recording goes into `file`.
-
-    On a full disk Rerun itself waits for good, or leaves the end out without a word.
-    """
-    out, into = os.pipe()
-    errors: list[OSError] = []
-    copying = threading.Thread(target=_copy, args=(out, file, errors), daemon=True)
-    copying.start()
+def _record(reader: RunReader, path: Path) -> None:
+    follower = Follower(reader, rr.FileSink(path))
+    for _ in follower.follow():
+        pass
     try:
-        follower = Follower(reader, rr.FileSink(f"/dev/fd/{into}"))  # its pieces are a file each
-        for _ in follower.follow():
-            if errors:
-                break
         follower.close(WRITTEN_S)
     except RuntimeError as error:  # Rerun's error for a disk that takes too long
         raise OSError(str(error)) from error
-    finally:
-        os.close(into)
-    copying.join()
-    if errors:
-        raise errors[0]
-
-
-def _copy(pipe: int, file: BinaryIO, errors: list[OSError]) -> None:
-    """Write what comes out of a pipe into `file`; after an error go on to empty the pipe."""
-    with os.fdopen(pipe, "rb", buffering=0) as out:
-        while block := out.read(BLOCK_BYTES):
-            try:
-                if not errors:
-                    file.write(block)
-            except OSError as error:
-                errors.append(error)
+    with path.open("rb") as file:
+        file.seek(-END_BYTES, os.SEEK_END)
+        whole = END in file.read()
+    if not whole:  # on a full disk Rerun leaves the end out without a word
+        raise OSError(f"{path.parent} does not take the whole recording: is the disk full?")
 
 
 def main() -> None:

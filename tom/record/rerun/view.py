@@ -41,7 +41,6 @@ CURVES = {
 OF_ROAD = ("Return", "Policy: losses")
 
 EPISODE_FLUSH_S = 10.0
-ROWS = 256  # of metrics sent together, because a viewer takes a second for some hundred chunks
 
 FRAMES_PER_S = 30
 PAUSE_S = 0.5  # between two episodes on the timeline `replay`
@@ -73,7 +72,6 @@ class RerunView:
         self._floor_drawn = False
         self._places = 0
         self._scalars: dict[str, list[tuple[int, float]]] = {}
-        self._rows = 0
         # Viewers store one layout per application id, so runs with other layouts get another id.
         application = f"tom-studio {run.env} {run.learner}{' episode' if layout else ''}"
         layout = layout or blueprint(run.env, run.learner, drawn=self._model is not None)
@@ -102,9 +100,6 @@ class RerunView:
         for path, value in values.items():
             if np.isfinite(value):
                 self._scalars.setdefault(path, []).append((env_step, value))
-        self._rows += 1
-        if self._rows >= ROWS:
-            self.flush()
         if self._env == ROAD and any(path.startswith("model/") for path in values):
             self._stream.set_time("env_step", sequence=env_step)
             self._stream.log(FIT, rr.TextDocument(_table(values), media_type=rr.MediaType.MARKDOWN))
@@ -116,7 +111,7 @@ class RerunView:
             times = rr.TimeColumn("env_step", sequence=np.array(steps))
             columns = rr.Scalars.columns(scalars=np.array(values))
             self._stream.send_columns(path, [times], columns)
-        self._scalars, self._rows = {}, 0
+        self._scalars = {}
 
     def profile(self, env_step: int, bins: NDArray[np.float64]) -> None:
         """The weight profile as bars; an empty bin has height 0."""

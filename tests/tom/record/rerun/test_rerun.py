@@ -292,22 +292,22 @@ def _steps(part: bytes, folder: Path, of: str = "weights/profile") -> list[int]:
 def test_a_tail_gives_each_whole_row_once(tmp_path: Path):
     path = tmp_path / "m"
     tail = Tail(path)
-    assert list(tail.blocks()) == []
+    assert tail.rows() == []
     path.write_bytes(b'{"env_step":1}\n{"env_st')
-    assert list(tail.blocks()) == [[{"env_step": 1}]]
-    assert list(tail.blocks()) == []
+    assert tail.rows() == [{"env_step": 1}]
+    assert tail.rows() == []
     with path.open("ab") as file:
         file.write(b'ep":2}\nrubbish\n{"env_step":3}\n')
-    assert list(tail.blocks()) == [[{"env_step": 2}, {"env_step": 3}]]
+    assert tail.rows() == [{"env_step": 2}, {"env_step": 3}]
 
 
 def test_a_file_that_was_cut_is_read_from_its_beginning(tmp_path: Path):
     path = tmp_path / "m"
     path.write_text('{"env_step":1}\n{"env_step":2}\n{"env_step":3}\n')
     tail = Tail(path)
-    assert len(next(iter(tail.blocks()))) == 3
+    assert len(tail.rows()) == 3
     path.write_text('{"env_step":1}\n{"env_step":2}\n')  # resumed from step 2
-    assert list(tail.blocks()) == [[{"env_step": 1}, {"env_step": 2}]]
+    assert tail.rows() == [{"env_step": 1}, {"env_step": 2}]
 
 
 @pytest.mark.fault
