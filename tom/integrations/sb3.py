@@ -10,7 +10,6 @@ The library keeps both in pickles, which are code. Here they become numbers and 
 `sb3.RecordCallback` records a training while it runs (docs/your-own-loop.md).
 """
 
-import warnings
 from collections.abc import Sequence
 from copy import deepcopy
 from pathlib import Path
@@ -42,64 +41,40 @@ def export_buffer(model: Any, path: str | Path) -> None:
     """Write the replay buffer of an off-policy `model` (SAC, TD3, DDPG) as `.npz`.
 
     One environment's rows after the other's, each oldest first, actions in the task's own units.
-    With `handle_timeout_termination=False` an episode of exactly the task's limit counts as
-    truncated, and the oldest, unfinished one of a full buffer is left out, since its length is not
-    known. With `optimize_memory_usage=True` so is the last row of each episode: the buffer has
-    overwritten its successor. Rows left out are said by a warning. Raises UserError for other
-    buffers.
+    Raises UserError for other buffers, and for one that does not keep the end of each episode.
     """
     buffer = getattr(model, "replay_buffer", None)
     if buffer is None or not isinstance(getattr(buffer, "observations", None), np.ndarray):
         raise UserError("the model has no replay buffer of flat observations: SAC, TD3 or DDPG")
     if buffer.actions.dtype.kind != "f" or buffer.observations.ndim != 3:
         raise UserError("only flat observations and continuous actions can be weighed")
+    if buffer.optimize_memory_usage or not buffer.handle_timeout_termination:
+        raise UserError(
+            "the buffer does not tell cut episodes from ended ones: make it with the library's "
+            "usual optimize_memory_usage and handle_timeout_termination"
+        )
+    if not buffer.size():
+        raise UserError("the replay buffer is empty: train for longer")
     kept = [_rows_of(model, buffer, env) for env in range(buffer.n_envs)]
-    count = sum(len(columns["reward"]) for columns in kept)
-    held = buffer.size() * buffer.n_envs
-    if not count:
-        raise UserError("the replay buffer holds no row that can be used: train for longer")
-    if count < held:
-        warnings.warn(f"{held - count} of {held} rows are left out of {path}", stacklevel=2)
     columns = {name: np.concatenate([of[name] for of in kept]) for name in kept[0]}
     np.savez(path, allow_pickle=False, **columns)
 
 
 def _rows_of(model: Any, buffer: Any, env: int) -> Columns:
     """The rows of one environment, oldest first; the last one ends its episode."""
-    size = buffer.size()
-    order = (np.arange(size) + (buffer.pos if buffer.full else 0)) % buffer.buffer_size
-    saving = buffer.optimize_memory_usage
-    if saving and buffer.full:
-        order = order[1:]  # the oldest row's obs is the newest row's successor by now
+    start = buffer.pos if buffer.full else 0
+    order = (np.arange(buffer.size()) + start) % buffer.buffer_size
     done = buffer.dones[order, env] == 1
     cut = done & (buffer.timeouts[order, env] == 1)
-    usable = np.ones(len(order), bool)
-    if not buffer.handle_timeout_termination:
-        last = np.flatnonzero(done)
-        length = np.diff(last, prepend=-1)
-        spec = model.get_env().get_attr("spec")[0] if model.get_env() else None
-        if spec is not None:
-            cut[last[length == spec.max_episode_steps]] = True
-        if buffer.full:
-            usable[: last[0] + 1 if len(last) else 0] = False
-    if saving:
-        usable &= ~done
-        after = buffer.observations[(order + 1) % buffer.buffer_size, env]
-        cut = cut | np.append(done[1:], False)  # the row before one that is left out
-    else:
-        after = buffer.next_observations[order, env]
-    if usable.any():
-        newest = np.flatnonzero(usable)[-1]
-        cut[newest] |= not done[newest]
-    columns = {
+    cut[-1] |= not done[-1]
+    return {
         "obs": buffer.observations[order, env],
         "action": model.policy.unscale_action(buffer.actions[order, env]),
         "reward": buffer.rewards[order, env],
-        "next_obs": after,
+        "next_obs": buffer.next_observations[order, env],
         "terminated": done & ~cut,
         "truncated": cut,
     }
-    return {name: values[usable] for name, values in columns.items()}
 
 
 class _Network(torch.nn.Module):
