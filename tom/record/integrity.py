@@ -69,23 +69,18 @@ def verify(reader: RunReader) -> list[str]:
         problems.append(f"{layout.MODEL} is damaged: ghosts and model errors are missing")
     for learner, live in run.live().items():
         problems += [f"{layout.LIVE}/{learner}/{problem}" for problem in verify(live)]
-    if not run.status.alive:
-        problems += [f"{name} is left from an interrupted write" for name in _left(run.path)]
     return problems
 
 
 def repair(reader: RunReader) -> list[str]:
     """Take what is damaged out of the way of a run; returns what was done, one line each.
 
-    Damaged lines become blank, damaged arrays are set aside, a dead run becomes `stopped`, and
-    temporary files of an interrupted write are removed. Raises UserError while the run is being
-    written, and OSError; what is repaired by then stays repaired.
+    Damaged lines become blank, damaged arrays are set aside, and a dead run becomes `stopped`.
+    Raises UserError while the run is being written, and OSError; what is repaired by then stays
+    repaired.
     """
     run, done = reader.path, dict[str, str]()
     with closing(lock.acquire(run)):
-        for name in _left(run):
-            (run / name).unlink()
-            done[name] = "removed, it was never whole"
         damaged = _damaged(run)
         for name in filter(lambda name: (run / name).is_file(), layout.LINES):
             content = (run / name).read_bytes()
@@ -94,7 +89,7 @@ def repair(reader: RunReader) -> list[str]:
             kept = (b" " * len(line) if parse_json_line(line) is None else line for line in lines)
             text = b"".join(line + b"\n" for line in kept)
             if text != content:
-                place = set_aside(run, run / name, copy=True)
+                place = set_aside(run, run / name)
                 replace(run / name, lambda file, text=text: file.write(text), sync=True)
                 done[name] = f"damaged lines blanked out{_kept(run, place)}"
         for name in damaged:
@@ -152,11 +147,6 @@ def _damaged(path: Path) -> dict[str, str]:
 def _sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _left(path: Path) -> list[str]:
-    found = (file for file in path.rglob(".*.tmp") if file.is_file())
-    return sorted(file.relative_to(path).as_posix() for file in found)
 
 
 def _kept(run: Path, place: Path) -> str:
