@@ -1,7 +1,6 @@
 """`tom bench`: measurements on this machine, as tables.
 
-Each function below measures one thing and returns tables by title, for a terminal, as JSON or as
-Markdown.
+Each function below measures one thing and returns tables by title.
 """
 
 import argparse
@@ -13,18 +12,14 @@ from typing import Any
 
 import torch
 
-from tom import readable
 from tom.cli import hand_over
 from tom.cli.output import put_out, show_rows
 from tom.cli.parser import add_json
 from tom.cli.runs import list_runs
-from tom.errors import UserError, reason
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.readable import whole
-from tom.record.files import replace
 
-BEGIN, END = "<!-- bench -->", "<!-- /bench -->"
 NOT_MEASURED = {
     "GPU": "nothing here runs on one; see docs/speed.md",
     "projected hours": "they leave out evaluation and recording, and count every round of a fit",
@@ -49,13 +44,6 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "--repeats", type=whole(1), default=9, help="interleaved repeats [9] (parts)"
     )
     add_json(parser)
-    parser.add_argument(
-        "--into",
-        type=Path,
-        metavar="FILE",
-        help="put the tables, as Markdown, between the lines <!-- bench --> and <!-- /bench --> of "
-        "this file",
-    )
     parser.add_argument("--runs", type=int, help="runs in the store [200] (studio)")
     parser.add_argument(
         "--map", action="store_true", help="the buffer's map in a browser, instead (studio)"
@@ -68,34 +56,8 @@ def run(args: argparse.Namespace) -> int:
         runs = [] if args.runs is None else ["--runs", str(args.runs)]
         more = [*(["--json"] * args.json), *(["--map"] * args.map)]
         hand_over("app.servers.bench", [*runs, *more])
-    if args.into is not None:
-        put(args.into, {})  # fails before anything is measured
     tables = MEASUREMENTS[args.what](args)
-    if args.into is not None:
-        put(args.into, tables)
     return put_out(args, tables, lambda: [show_rows(*table) for table in tables.items()])
-
-
-def put(path: Path, tables: Tables) -> None:
-    """Replace what stands between the lines BEGIN and END by the tables, if there are any.
-
-    Raises UserError if there are no such lines.
-    """
-    try:
-        before, begin, rest = path.read_text().partition(f"{BEGIN}\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"--into {path}: {reason(error)}: name a text file") from None
-    _, end, after = rest.partition(END)
-    if not (begin and end):
-        raise UserError(f"--into {path}: give it a line {BEGIN} and a line {END} after it")
-    parts = []
-    for title, rows in tables.items():
-        lines = [rows[0], ["---"] * len(rows[0])]
-        lines += [map(readable.cell, row.values()) for row in rows]
-        parts.append("\n".join([f"{title}:\n", *(f"| {' | '.join(line)} |" for line in lines)]))
-    if parts:
-        whole = "".join([before, begin, "\n\n".join(parts), "\n", end, after])
-        replace(path, lambda file: file.write(whole.encode()), sync=False)
 
 
 def _parts(args: argparse.Namespace) -> Tables:

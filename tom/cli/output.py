@@ -1,7 +1,7 @@
 """What commands print: tables, and the progress of long work.
 
-Tables are as wide as the terminal, or in full width elsewhere. Progress is a picture that is
-redrawn on a terminal, and plain lines elsewhere.
+Tables are as wide as the terminal; elsewhere they are Markdown, a line a row. Progress is a picture
+that is redrawn on a terminal, and plain lines elsewhere.
 """
 
 import json
@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from time import monotonic
 from typing import Any, Self, TextIO
 
+from rich.box import HEAVY_HEAD, MARKDOWN
 from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -33,7 +34,8 @@ RATE_OVER_S = 300.0
 def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Print a table; columns of numbers are aligned to the right."""
     listed = [list(row) for row in rows]
-    table = Table()
+    on_terminal = Console().is_terminal
+    table = Table(box=HEAVY_HEAD if on_terminal else MARKDOWN)
     for i, column in enumerate(columns):
         known = [row[i].replace(",", "") for row in listed if row[i] != readable.UNKNOWN]
         numeric = bool(listed) and all(map(is_number, known))
@@ -41,7 +43,7 @@ def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> N
     for row in listed:
         # Text objects, because Rich would read brackets in strings as markup.
         table.add_row(*(Text("\n".join(map(terminal, cell.split("\n")))) for cell in row))
-    console = Console(width=None if Console().is_terminal else WIDTH)
+    console = Console(width=None if on_terminal else WIDTH)
     # The table's own title would be wrapped to the width of the table.
     console.print(Text(terminal(title), style="italic"))
     console.print(table)
@@ -50,18 +52,6 @@ def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> N
 def show_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
     """Print a table whose columns are the keys of its rows, all with the same keys."""
     show(title, list(rows[0]), [list(map(readable.cell, row.values())) for row in rows])
-
-
-def fitting(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """The rows with their first columns alone, as many as the terminal has room for."""
-    console, kept = Console(), []
-    width = (console.width if console.is_terminal else WIDTH) - 1
-    for name in rows[0]:
-        width -= max(len(name), *(len(readable.cell(row[name])) for row in rows)) + 3
-        if width < 0:
-            break
-        kept.append(name)
-    return [{name: row[name] for name in kept} for row in rows]
 
 
 def put_out(args: Namespace, content: object, shown: Iterable[str] | Callable[[], object]) -> int:

@@ -17,7 +17,7 @@ from typing import Any
 
 from matplotlib import rc_context
 
-from tom.cli.output import fitting, put_out, show_rows
+from tom.cli.output import put_out, show_rows
 from tom.cli.parser import add_json, folder
 from tom.cli.train import followed
 from tom.config import SacRecordingConfig
@@ -127,7 +127,7 @@ def _run(study: ModuleType, args: Namespace) -> int:
     def shown() -> None:
         for title, rows in tables:
             if 0 < len(rows) <= LONG or title == "Acceptance":
-                show_rows(title, fitting(rows))
+                show_rows(title, rows)
             elif rows:
                 print(f"{title}: in the report")
         print("\n".join([*verdict, str(args.out)]))

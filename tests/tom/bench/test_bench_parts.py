@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import pytest
-from commands import refused
 from common import online, present
 
 from tom.bench.parts import parts
@@ -19,7 +18,6 @@ from tom.bench.timing import (
     target,
 )
 from tom.bench.training import checkpoint_cost, make_store
-from tom.cli.bench import BEGIN, END, put
 from tom.config import ModelConfig, SacConfig
 from tom.envs import ENV_NAMES, task
 from tom.record import Store, checkpoint
@@ -95,16 +93,3 @@ def test_the_store_that_is_listed_is_one_of_real_runs(tmp_path: Path):
     assert sorted(run.run_id for run in runs) == ["run-0000", "run-0001", "run-0002"]
     assert {run.status.state for run in runs} == {"finished"}
     assert all(len(run.metrics()) for run in runs)
-
-
-def test_the_tables_stand_between_their_marks_and_replace_the_last_ones(tmp_path: Path, capsys):
-    file = tmp_path / "page.md"
-    file.write_text("no marks\n")
-    for wrong in (file, tmp_path / "none"):
-        refused(["bench", "--into", str(wrong)], capsys)
-    assert file.read_text() == "no marks\n"
-    file.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
-    for _ in range(2):
-        put(file, {"parts": [{"part": "SAC update", "ms": 3.7812, "met": None}]})
-    table = "parts:\n\n| part | ms | met |\n| --- | --- | --- |\n| SAC update | 3.781 | - |"
-    assert file.read_text() == f"before\n{BEGIN}\n{table}\n{END}\nafter\n"
