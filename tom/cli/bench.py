@@ -68,7 +68,6 @@ def _parts(args: argparse.Namespace) -> Tables:
     backend = choose_matmul().chosen
     timings, gflops = timing.measure([*parts.parts()], args.repeats, backend)
     ms = {timed.part: timed.ms for timed in timings}
-    projection.save_bench(ms)
     rows, beside_ms = [], projection.beside_ms(ms)
     for timed in timings:
         wanted, met = timing.target(timed, beside_ms) or (None, None)

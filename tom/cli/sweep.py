@@ -27,12 +27,12 @@ from tom.harmless import terminal
 from tom.learners import LEARNERS
 from tom.machine.processes import on_stopping
 from tom.readable import whole
-from tom.record import RunReader, Store, checkpoint
+from tom.record import Store, checkpoint
 from tom.record.thin import without_options
 from tom.sweep.bucket import open_backend
 from tom.sweep.driver import ATTEMPTS, Driver, Job
 from tom.sweep.engine import open_engine, script
-from tom.sweep.projection import Cost, cost, makespan
+from tom.sweep.projection import cost, makespan
 from tom.training.plan import Trial, checked, is_done, read_plan, same_run, trials
 
 POLL_S = 0.5
@@ -100,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
         if args.engine == "slurm":
             words = without_options(shlex.join(sys.argv[1:]), ["--engine"])
             runs = backend.store.runs()
-            hours = [one.hours for trial in planned if (one := _cost(trial, runs, None))]
+            hours = [one.hours for trial in planned if (one := cost(trial, runs))]
             longest = max(hours) if len(hours) == len(planned) else None
             print(script(len(planned), args.store, words, longest))
             return 0
@@ -252,7 +252,8 @@ def _dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], j
     for trial in planned:
         run = same_run(trial, runs)
         done = run is not None and is_done(trial.config, run)
-        expected = None if done else _cost(trial, runs, run)
+        saved = checkpoint.newest(run.path / checkpoint.FOLDER) if run else None
+        expected = None if done else cost(trial, runs, saved or 0)
         row = {
             "run": run.run_id if run else trial.run_id,
             "env": trial.env,
@@ -276,20 +277,5 @@ def _dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], j
     if not to_do or any(row["hours"] is not None for row in to_do):  # else nobody knows
         print(f"about {hours:.1f} h with {jobs} at a time and {readable.size(1e6 * megabytes)}")
     if unknown := sorted({f"{r['env']} {r['learner']}" for r in to_do if r["hours"] is None}):
-        print(
-            f"without {', '.join(unknown)}: {args.store} has no finished run to judge them by "
-            "(robots on a CPU are also judged by what `tom bench` last measured here)"
-        )
+        print(f"without {', '.join(unknown)}: {args.store} has no finished run to judge them by")
     return 0
-
-
-def _cost(trial: Trial, runs: Sequence[RunReader], run: RunReader | None) -> Cost | None:
-    """The remaining cost of a training, from similar runs, else from this machine's `tom bench`."""
-    # Imported here because it imports every part of a training.
-    from tom.bench.projection import bench_cost, last_bench
-
-    at = None if run is None else checkpoint.newest(run.path / checkpoint.FOLDER)
-    if expected := cost(trial, runs, at or 0):
-        return expected
-    ms = last_bench()
-    return None if ms is None else bench_cost(trial, ms, at or 0)

@@ -106,14 +106,14 @@ def probe() -> MatmulReport:
     return MatmulReport("onednn" if better else "default", default_ms, onednn_ms, error)
 
 
-def cache_file(what: str = "matmul") -> Path:
-    """The file with the probe's or another result for this kind of CPU and this torch."""
+def cache_file() -> Path:
+    """The file with the probe's result for this kind of CPU and this torch."""
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tom-studio"
     cpu = f"{platform.machine()} {platform.processor()}"
     with contextlib.suppress(OSError):
         cpu = kind_of(Path("/proc/cpuinfo").read_text())
     kind = hashlib.sha256(f"{cpu}\n{torch.__version__}".encode()).hexdigest()
-    return folder / f"{what}-{kind[:12]}.json"
+    return folder / f"matmul-{kind[:12]}.json"
 
 
 def kind_of(cpuinfo: str) -> str:

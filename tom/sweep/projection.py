@@ -49,16 +49,10 @@ def cost(trial: Trial, runs: Sequence[RunReader], done: int = 0) -> Cost | None:
         return None
     seconds, written = (median(values) for values in zip(*costs, strict=True))
     steps = trial.config.total_steps
+    left = max(steps - max(done, getattr(trial.config, "exploration_steps", 0)), 0)
     other = "" if same else f" of {chosen[0].learner}"
     source = f"{len(costs)} run{'s' if len(costs) > 1 else ''}{other}"
-    hours = seconds * steps_to_train(trial, done) / 3600
-    return Cost(hours, written * max(steps - done, 0) / 1e6, source)
-
-
-def steps_to_train(trial: Trial, done: int) -> int:
-    """Env steps after exploration that remain for a run that is resumed at step `done`."""
-    begun = max(done, getattr(trial.config, "exploration_steps", 0))
-    return max(trial.config.total_steps - begun, 0)
+    return Cost(seconds * left / 3600, written * max(steps - done, 0) / 1e6, source)
 
 
 def makespan(hours: Sequence[float], slots: int) -> float:
