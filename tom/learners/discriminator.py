@@ -30,23 +30,18 @@ BLOCK, GPU_BLOCK = 32, 100  # minibatches gathered at once
 Inputs = Literal["transitions", "state-actions"]
 
 
-def discriminator_net(
-    obs_dim: int, action_dim: int, config: TomConfig, generator: torch.Generator
-) -> StackedMLP:
-    """A fresh network with two Tanh layers over (s, a, s' - s), D = 2 O + A, or (s, a), D = O + A:
-    (1, B, D) -> (1, B, 1)."""
-    hidden = config.discriminator_hidden
-    inputs = (2 if config.discriminator_input == "transitions" else 1) * obs_dim + action_dim
-    return StackedMLP(1, [inputs, hidden, hidden, 1], torch.tanh, generator)
-
-
 class Discriminator(Trained):
-    """The network and its optimiser."""
+    """A network with two Tanh layers over (s, a, s' - s), D = 2 O + A, or (s, a), D = O + A.
+
+    It maps (1, B, D) to (1, B, 1); `fresh` draws one with new parameters.
+    """
 
     def __init__(
         self, obs_dim: int, action_dim: int, config: TomConfig, generator: torch.Generator
     ) -> None:
-        self.fresh = partial(discriminator_net, obs_dim, action_dim, config)
+        hidden = config.discriminator_hidden
+        inputs = (2 if config.discriminator_input == "transitions" else 1) * obs_dim + action_dim
+        self.fresh = partial(StackedMLP, 1, [inputs, hidden, hidden, 1], torch.tanh)
         super().__init__(self.fresh(generator), config.discriminator_lr)
         self.config = config
 

@@ -44,14 +44,6 @@ class Values:
     start: Tensor  # E_{a~pi}[Q(s0, a)], (B,)
 
 
-def q_net(
-    obs_dim: int, action_dim: int, config: TomConfig, generator: torch.Generator
-) -> StackedMLP:
-    """A fresh Q with two ReLU layers: (1, B, O + A) -> (1, B, 1)."""
-    sizes = [obs_dim + action_dim, config.q_hidden, config.q_hidden, 1]
-    return StackedMLP(1, sizes, relu, generator)
-
-
 def dual_argument(values: Values, log_ratio: Tensor, ends: Tensor, flow: Flow) -> Tensor:
     """y = r + F Q, (..., B): r + g E_{a'~pi}[Q(s', a')] - Q(s, a) away from ends."""
     start = values.start.mean(-1, keepdim=True)
@@ -90,12 +82,13 @@ def values_of(q: Tensor, batch: Batch, config: TomConfig) -> Values:
 
 
 class QFunction(Trained):
-    """TOM's dual variable."""
+    """TOM's dual variable, two ReLU layers: (1, B, O + A) -> (1, B, 1); `fresh` draws a new one."""
 
     def __init__(
         self, obs_dim: int, action_dim: int, config: TomConfig, generator: torch.Generator
     ) -> None:
-        self.fresh = partial(q_net, obs_dim, action_dim, config)
+        sizes = [obs_dim + action_dim, config.q_hidden, config.q_hidden, 1]
+        self.fresh = partial(StackedMLP, 1, sizes, relu)
         super().__init__(self.fresh(generator), config.q_lr, config.q_weight_decay)
         self.config = config
 
