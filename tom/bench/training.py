@@ -56,23 +56,11 @@ def paper(env: str, **changes: Any) -> OnlineConfig:
     return config
 
 
-def cycle_s() -> float:
-    """CPU seconds of one model fit, its rollouts and 250 env steps, before TOM starts to weigh.
-
-    This is the cheapest part of a training: the buffer is small and there is no dual Q yet.
-    """
-    begun = process_time()
-    config = paper("hopper", exploration_steps=EXPLORE, steps=EXPLORE + CYCLE)
-    for event in Mbpo(config).events():
-        if event.env_step < EXPLORE:
-            begun = process_time()
-    return process_time() - begun
-
-
 def step_ms(steps: int = 1000) -> tuple[float, float]:
     """CPU milliseconds of an env step, and the GFLOP of its matrix products.
 
-    Model fits, rollouts, SAC, env, evaluation and recording, before TOM starts to weigh.
+    Model fits, rollouts, SAC, env, evaluation and recording, before TOM starts to weigh: the
+    cheapest part of a training, because the buffer is small and there is no dual Q yet.
     """
     config = paper("hopper", exploration_steps=EXPLORE, steps=EXPLORE + steps)
     rounds, begun = [], process_time()
@@ -239,9 +227,9 @@ STEP_MS = 10.0  # of the loop, of which recording may take 1 %
 def loop_costs() -> list[Row]:
     """`tom.record` with Hopper's rows in double precision: calls of one step, and of blocks.
 
-    A call is the median of 20 000, and of 1 000 in a loop that leaves nothing in the caches; the
-    target is 1 % of a step of 10 ms. Of 1 000 blocks of 1 000 rows it is twice what `numpy.save`
-    takes for the same arrays: CPU time, without `close`, which makes digests.
+    A call is the median of 20 000; the target is 1 % of a step of 10 ms. Of 1 000 blocks of 1 000
+    rows it is twice what `numpy.save` takes for the same arrays: CPU time, without `close`, which
+    makes digests.
     """
     rng = np.random.default_rng(0)
     walk = rng.normal(size=(LOOP_ROWS + 1, OBS)).cumsum(0)
@@ -250,15 +238,13 @@ def loop_costs() -> list[Row]:
     columns = walk[:-1], action, reward, walk[1:], np.zeros(LOOP_ROWS, bool), cut
     parts = [slice(first, first + LOOP_BLOCK) for first in range(0, LOOP_ROWS, LOOP_BLOCK)]
     blocks = [tuple(column[part] for column in columns) for part in parts]
-    warm, cold = _call_us(columns, LOOP_CALLS, 0), _call_us(columns, LOOP_CALLS // 20, 4_000_000)
     with tempfile.TemporaryDirectory() as folder, record("a", env="Hopper-v5", store=folder) as run:
         recorded = _row_us(blocks, lambda block: run.transitions(*block))  # pyright: ignore
     with tempfile.TemporaryDirectory() as folder:
         names = (Path(folder) / str(number) for number in count())
         saved = _row_us(blocks, lambda block: [*map(np.save, names, block)])
     costs = {
-        "a call with one step": (warm, STEP_MS * 10),
-        "a call with one step, caches cold": (cold, STEP_MS * 10),
+        "a call with one step": (_call_us(columns), STEP_MS * 10),
         "a row, in blocks of 1 000": (recorded, 2 * saved),
     }
     return [
@@ -267,12 +253,11 @@ def loop_costs() -> list[Row]:
     ]
 
 
-def _call_us(columns: Block, calls: int, between: int) -> float:
-    """Median microseconds of a call with one step; `between` numbers are written before each."""
-    others, took = np.zeros(between), []
+def _call_us(columns: Block) -> float:
+    """Median microseconds of a call with one step."""
+    took = []
     with tempfile.TemporaryDirectory() as folder, record("a", env="Hopper-v5", store=folder) as run:
-        for row in range(calls):
-            others += 1
+        for row in range(LOOP_CALLS):
             step = [column[row] for column in columns]
             begun = perf_counter()
             run.transitions(*step)

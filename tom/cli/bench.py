@@ -108,7 +108,7 @@ def _record(_: argparse.Namespace) -> Tables:
 
     torch.set_num_threads(1)
     choose_matmul()
-    train_s = training.cycle_s()
+    train_s = training.step_ms(training.CYCLE)[0] * training.CYCLE / 1e3
     checkpoints = [
         training.checkpoint_cost(*of) for of in (("hopper", train_s), ("humanoid", None))
     ]
