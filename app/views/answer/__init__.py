@@ -28,7 +28,6 @@ from tom.config import SAC_ALONE
 from tom.envs import ROAD
 from tom.record.reader import RunReader
 
-REFRESH_S = 5
 HEIGHT, MAP_HEIGHT = 230, 280
 SIGNS = {"yes": ":material/check_circle:", "no": ":material/cancel:",
          "unclear": ":material/help:", "unknown": ":material/hourglass_empty:"}  # fmt: skip
@@ -67,8 +66,7 @@ def page(scope: Scope) -> None:
     env = groups[one][0].env
     asked = text.markdown(f"{task(env)}: does {one} look at the right data, and does that help?")
     st.header(asked, anchor=False)
-    alive = any(run.status.alive for runs in groups.values() for run in runs)
-    st.fragment(_cards, run_every=REFRESH_S if alive else None)(scope, both)
+    _cards(scope, both)
     if env != ROAD:  # which has no exams
         behind = st.expander("The numbers behind it", key="numbers behind", on_change="rerun")
         if behind.open:
@@ -95,20 +93,18 @@ def _groups(scope: Scope) -> dict[str, list[RunReader]]:
 
 
 def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
-    listed = {run.run_id: run for run in readers.listing(session.links().store).runs}
-    fresh = {t: [listed.get(run.run_id, run) for run in runs] for t, runs in groups.items()}
-    kinds = {scope.kinds[run.run_id] for runs in fresh.values() for run in runs}
+    kinds = {scope.kinds[run.run_id] for runs in groups.values() for run in runs}
     # A fit that keeps its buffer has a profile as well.
     version = tuple(
         (run.path, run.version("facts"), run.version("metrics"), run.version("profiles"))
-        for runs in fresh.values()
+        for runs in groups.values()
         for loop in runs
         for run in dict.fromkeys((loop, readers.weighed(loop)))
     )
-    key = tuple(fresh), session.mode(), frozenset((kind, scope.looks[kind]) for kind in kinds)
-    made = _MADE.get(key, lambda: _made(scope, fresh), version)
+    key = tuple(groups), session.mode(), frozenset((kind, scope.looks[kind]) for kind in kinds)
+    made = _MADE.get(key, lambda: _made(scope, groups), version)
     grid = st.container(horizontal=True, key="cards")
-    mine = next(iter(fresh.values()))
+    mine = next(iter(groups.values()))
     cards = (ON_ROAD, *CARDS[1:]) if mine[0].env == ROAD else CARDS
     for (question, link, what, _), (answered, drawn) in zip(cards, made, strict=True):
         with grid, st.container(border=True, height="stretch"):
@@ -124,11 +120,11 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
             widgets.link_to(link, f"See it on {link.capitalize()}", run=mine[0].run_id)
 
 
-def _made(scope: Scope, fresh: Mapping[str, Sequence[RunReader]]) -> list[Card]:
-    sides = [_side(title, runs) for title, runs in fresh.items()]
-    measured = zip(CARDS, _measured(scope, fresh, sides), strict=True)
-    drawn = [_chart(scope, what, level, groups) for (_, _, what, level), groups in measured]
-    mine = next(iter(fresh.values()))
+def _made(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> list[Card]:
+    sides = [_side(title, runs) for title, runs in groups.items()]
+    measured = zip(CARDS, _measured(scope, groups, sides), strict=True)
+    drawn = [_chart(scope, what, level, lines) for (_, _, what, level), lines in measured]
+    mine = next(iter(groups.values()))
     if mine[0].env == ROAD and not sides[0].uniform:
         drawn[0] = _map(mine)
     return list(zip(_answers(sides, mine), drawn, strict=True))
@@ -162,11 +158,11 @@ def _answers(sides: Sequence[Side], mine: Sequence[RunReader]) -> tuple[Answer, 
 
 
 def _measured(
-    scope: Scope, fresh: Mapping[str, Sequence[RunReader]], sides: Sequence[Side]
+    scope: Scope, groups: Mapping[str, Sequence[RunReader]], sides: Sequence[Side]
 ) -> list[list[Group]]:
     """The groups of the three charts: newest fifth, footprint, return."""
     measured: list[list[Curve]] = [[], [], []]
-    for side, runs in zip(sides, fresh.values(), strict=True):
+    for side, runs in zip(sides, groups.values(), strict=True):
         for run, profiles, returns, exams in zip(
             runs, side.profiles, side.returns, side.exams, strict=True
         ):
