@@ -1,4 +1,4 @@
-"""The tables of the comparison, to read and to download. Pure functions."""
+"""The tables of the comparison, to read. Pure functions."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -8,7 +8,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from app.theme import learner_label
-from tom.analysis.curves import Curve, Group
+from tom.analysis.curves import Group
 from tom.analysis.scores import BEST, FINAL, common_step, interval, scores_of, steps_to
 from tom.analysis.settings import differences
 from tom.record.reader import RunReader
@@ -39,41 +39,6 @@ def summary(grouped: Sequence[Group]) -> pd.DataFrame:
             row |= {name: over.value, f"{name} low": over.low, f"{name} high": over.high}
         rows.append(row)
     return pd.DataFrame(rows)
-
-
-def bands(grouped: Sequence[Group], x: str = "env_step") -> pd.DataFrame:
-    """One row per group and step: the data of the figures' lines and bands before smoothing."""
-    frames = [
-        pd.DataFrame(
-            {
-                "env": group.env,
-                "learner": group.learner,
-                "preset": group.preset,
-                "settings": group.variant,
-                x: group.step,
-                group.statistic: group.mean,
-                "low": group.low,
-                "high": group.high,
-                "runs": group.count,
-            }
-        )
-        for group in grouped
-    ]
-    return pd.concat(frames)
-
-
-def runs(curves: Sequence[Curve], x: str = "env_step") -> pd.DataFrame:
-    """One row per run and step."""
-    frames = []
-    for curve in curves:
-        whose = {
-            "run": curve.run_id,
-            "env": curve.env,
-            "learner": curve.learner,
-            "seed": curve.seed,
-        }
-        frames.append(pd.DataFrame({**whose, x: curve.step, "value": curve.value}))
-    return pd.concat(frames)
 
 
 def default_level(scores: NDArray[np.float64]) -> float:

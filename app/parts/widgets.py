@@ -1,9 +1,8 @@
-"""What several pages show: viewers, links, downloads, and words in place of what is missing."""
+"""What several pages show: viewers, links, and words in place of what is missing."""
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
-import pandas as pd
 import streamlit as st
 
 from app import session, text
@@ -12,12 +11,9 @@ from app.links import LIVE
 from app.parts import address
 from app.scenes.control import Choice, Selection, tell
 from tom.analysis.curves import Curve, curve_points
-from tom.harmless import as_csv
 from tom.learners import LEARNERS, SUBJECT
 from tom.record.reader import RunReader
 
-Files = Mapping[str, tuple[Callable[[], pd.DataFrame], str]]
-"""tables by their label: how each is made, and the end of its file's name"""
 EVALUATIONS = "evaluations"
 """what a small copy lacks that has no replay"""
 
@@ -112,21 +108,6 @@ def link_to(path: str, label: str, **choices: str) -> None:
             pages[path], label=label, icon=":material/arrow_forward:",
             query_params=address.shared() | {name: [word] for name, word in choices.items()},
         )  # fmt: skip
-
-
-def downloads(files: Files, name: str) -> None:
-    """A download button for each table; its CSV file is made when the user asks for it."""
-    with st.container(horizontal=True):
-        for label, (make, suffix) in files.items():
-            st.download_button(
-                label,
-                lambda make=make: as_csv(make()),
-                f"{name.replace('/', '-')}-{suffix}.csv",
-                "text/csv",
-                icon=":material/download:",
-                on_click="ignore",
-                key=f"download {name} {suffix}",
-            )
 
 
 def when_changed(state: Callable[[], object], every_s: float) -> None:

@@ -14,7 +14,7 @@ from app.data.every_way import EVERY_WAY, every_ways
 from app.data.studies import QUESTIONS, Study
 from app.data.verdicts import Verdict, verdict
 from app.figures.statistics import intervals, two_axes
-from app.parts import address, form, jobs, widgets
+from app.parts import address, form, jobs
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from app.theme import learner_colour
@@ -27,8 +27,6 @@ WIDE = 900
 """maximum pixels of a caption, for lines that can be read"""
 SHORT = 20
 """maximum lines of a table that is shown unfolded; longer ones have single values"""
-LISTED = 200
-"""maximum lines of a table that are shown; the file has all"""
 
 
 def page(scope: Scope) -> None:
@@ -168,12 +166,11 @@ def _whole(study: Study) -> None:
             st.warning(f"{text.markdown(path.name)} cannot be read.")
             continue
         title = f"**{text.markdown(path.stem)}**"
-        more = f"the first {LISTED} of {len(table):,}" if len(table) > LISTED else f"{len(table)}"
         folded = len(table) > SHORT
-        with st.expander(f"{title}, {more} lines") if folded else st.container():
+        with st.expander(f"{title}, {len(table):,} lines") if folded else st.container():
             if not folded:
                 st.markdown(title)
-            _lines(study, path.stem, table)
+            _lines(table)
 
 
 def _command(study: Study, title: str) -> None:
@@ -182,14 +179,13 @@ def _command(study: Study, title: str) -> None:
             st.code(study.origin["command"], language="bash", wrap_lines=True)
 
 
-def _lines(study: Study, name: str, table: pd.DataFrame) -> None:
+def _lines(table: pd.DataFrame) -> None:
     numbers = {
         column: st.column_config.NumberColumn(format="%.4g")
         for column in table.select_dtypes("floating").columns
     }
-    shown = table.head(LISTED).replace(np.inf, np.nan)  # infinity: a level was never reached
+    shown = table.replace(np.inf, np.nan)  # infinity: a level was never reached
     st.dataframe(shown, hide_index=True, column_config=numbers, placeholder="-")
-    widgets.downloads({"CSV": (lambda: table, name)}, study.name)
 
 
 def _offer(names: Sequence[str]) -> None:

@@ -129,11 +129,8 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
                     follow=Follow(cursor=on_steps), linked="curves",
                     caption=caption(metric, env, grouped, how, scope),
                 )  # fmt: skip
-    if first is None:
-        return
-    (curves, grouped), metric = first, metrics[0]
-    files: widgets.Files = {"Single runs": (lambda: tables.runs(curves, how.axes.x), "runs")}
-    if grouped:
+    if first is not None and first[1]:
+        (curves, grouped), metric = first, metrics[0]
         st.caption(remarks(grouped, curves, how, scope))
         table = tables.summary(grouped)
         if metric not in measure.METRICS.values():
@@ -141,9 +138,6 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
             table = table.rename(columns=lambda name: name.replace("best", "highest", 1))
         st.markdown(f"**{text.markdown(metric)}** at the step that all runs of a group reach")
         st.dataframe(in_words(table), hide_index=True, column_config=COLUMNS)
-        lines = (lambda: tables.bands(grouped, how.axes.x), "lines")
-        files = {"Lines and bands": lines, **files, "Table": (lambda: table, "table")}
-    widgets.downloads(files, metric)
 
 
 def _figure(

@@ -12,7 +12,7 @@ from app import text
 from app.data.tables import default_level, reached
 from app.figures.curves import Look
 from app.figures.statistics import Profile, improvement, profiles
-from app.parts import address, widgets
+from app.parts import address
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from app.views.curves import measure
@@ -76,22 +76,16 @@ def draw(scope: Scope) -> None:
     names = [look.title for look in looks]
     keep = " ".join([env, metric, *(curve.run_id for group in grouped for curve in group.curves)])
     _profiles(looks, scores, score, keep)
-    pairs = _improvement(looks, scores, f"{score} {keep}")
+    _improvement(looks, scores, f"{score} {keep}")
     table = reached(grouped, names, level, until)
     _efficiency(table, metric, level, until)
-    of_runs = pd.DataFrame(
-        {"group": name, "run": curve.run_id, "seed": curve.seed, "score": value}
-        for name, group, values in zip(names, grouped, scores, strict=True)
-        for curve, value in zip(group.curves, values, strict=True)
-    )
-    widgets.downloads(
-        {
-            "Scores": (lambda: of_runs, "scores"),
-            "Improvement": (lambda: pairs, "improvement"),
-            "Steps to reach": (lambda: table, "reached"),
-        },
-        metric,
-    )
+    with st.expander("The score of each run"):
+        of_runs = (
+            {"group": name, "run": curve.run_id, "seed": curve.seed, "score": value}
+            for name, group, values in zip(names, grouped, scores, strict=True)
+            for curve, value in zip(group.curves, values, strict=True)
+        )
+        st.dataframe(pd.DataFrame(of_runs), hide_index=True)
 
 
 def _remarks(
@@ -143,12 +137,12 @@ def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str, keep
     st.dataframe(pd.DataFrame(rows), hide_index=True, column_config={"iqm": "IQM"})
 
 
-def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) -> pd.DataFrame:
-    """Draw who beats whom, and return it as a table."""
+def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) -> None:
+    """Who beats whom."""
     both = list(combinations(range(len(looks)), 2))
     if not both:
         st.caption("One group alone has nobody to be better than.")
-        return pd.DataFrame()
+        return
     ps = [statistics.exchangeable([scores[i]], [scores[j]]) for i, j in both]
     beats = [statistics.probability_of_improvement([scores[i]], [scores[j]]) for i, j in both]
     pairs = pd.DataFrame(
@@ -168,7 +162,6 @@ def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) ->
         colours = [looks[i].colour for i, _ in both]
         figure = improvement(pairs, colours, 90 + 40 * len(pairs), keep)
         chart(figure, "improvement", "probability that a run of one group beats one of another")
-    return pairs
 
 
 def _efficiency(table: pd.DataFrame, metric: str, level: float, until: float) -> None:

@@ -1,24 +1,17 @@
-"""The tables that a reader takes away."""
+"""The tables that a reader sees."""
 
-import io
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from app.data import tables
-from tom.analysis.curves import Curve, Group, groups
+from tom.analysis.curves import Curve, groups
 
 
 def curve(seed: int, value: list[float], learner: str = "tom") -> Curve:
     step = np.arange(len(value), dtype=np.int64) * 100
     return Curve(f"{learner}-{seed}", "ant", learner, "paper", seed, step, np.array(value))
-
-
-@pytest.fixture
-def grouped() -> list[Group]:
-    return groups([curve(0, [0, 8, 4]), curve(1, [2, 4, 8]), curve(0, [1, 1], "mle")])
 
 
 def test_the_summary_counts_no_longer_run_beyond_the_shortest() -> None:
@@ -44,23 +37,6 @@ def test_final_is_where_the_line_of_all_runs_ends_whatever_their_steps(points: i
     assert row["steps"] == group.step[end]
     assert row["final"] == pytest.approx(group.mean[end])
     assert row["best"] >= row["final"]
-
-
-def test_bands_are_what_is_drawn(grouped: list[Group]) -> None:
-    table = pd.read_csv(io.StringIO(tables.bands(grouped).to_csv(index=False)))
-    tom = table[table["learner"] == "tom"]
-    assert tom["env_step"].tolist() == [0, 100, 200]
-    assert tom["mean"].tolist() == [1, 6, 6]
-    assert tom["runs"].tolist() == [2, 2, 2]
-    mle = table[table["learner"] == "mle"]
-    assert np.isnan(np.asarray(mle["low"])).all()
-
-
-def test_every_point_of_every_run_is_there(grouped: list[Group]) -> None:
-    curves = [c for group in grouped for c in group.curves]
-    table = tables.runs(curves)
-    assert len(table) == sum(len(c.step) for c in curves)
-    assert table[table["run"] == "tom-1"]["value"].tolist() == [2, 4, 8]
 
 
 def test_settings_have_a_column_for_each_run() -> None:

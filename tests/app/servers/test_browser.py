@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 import numpy as np
-import pandas as pd
 import pytest
 from common import present
 from studio_browser import (
@@ -20,7 +19,7 @@ from studio_browser import (
     wait_until_drawn,
     wait_until_steady,
 )
-from studio_runs import PENDULUM_TOM, ROAD_TOM, RUNS
+from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 from app.data import buffer_map, columns
 from app.data.selection import Selection
@@ -44,7 +43,6 @@ def test_a_visit_to_every_page(visit: Visit, store: Path) -> None:
     page.get_by_text("Does it help?").wait_for()
     visit.open("Curves", "curves")
     page.locator(".js-plotly-plot").nth(1).wait_for()
-    take_the_table(page)
     click_the_end_of_a_curve(page)
     visit.open("Attention", "attention")
     click_the_first_fit(page, store)
@@ -60,13 +58,6 @@ def test_a_visit_to_every_page(visit: Visit, store: Path) -> None:
     wait_until_drawn(page.locator("iframe").first, 0.03)  # viser: columns of weight
     keep_the_chosen_run(visit)
     assert visit.asked <= LOCAL
-
-
-def take_the_table(page: "Page") -> None:
-    with page.expect_download() as download:
-        page.get_by_role("button", name="Single runs").click()
-    table = pd.read_csv(download.value.path())
-    assert set(table["run"]) == {run_id for run_id, env, *_ in RUNS if env == "inverted-pendulum"}
 
 
 def click_the_end_of_a_curve(page: "Page") -> None:
