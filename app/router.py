@@ -126,7 +126,6 @@ def run() -> None:
     draw(chosen.run)
     task = st.session_state.get("task shown", "")
     st.set_page_config(page_title=" - ".join(filter(None, (chosen.title, task, "TOM Studio"))))
-    address.write()
     session.drawn()
     FIRST.set()
 

@@ -2,9 +2,9 @@
 
 Streamlit's own `bind="query-params"` replaces the address in place, so Back would leave the page.
 An address that the server writes to `st.query_params` is a new entry of the history, except when
-Back itself caused the drawing. So a page reads its choices here (`value_of`, or a widget of this
-module), each with the words that the address has for it (`keep`), and at the end of the drawing
-the router puts all of them into the address in one step (`write`).
+Back itself caused the drawing (and one act of the visitor is one entry: app/servers/pages.py). So a
+page reads its choices here (`value_of`, or a widget of this module), each with the words that the
+address has for it (`keep`). The address counts for what this session has no choice of.
 
 The choices of `SHARED` belong to all pages: they last when the user goes to another page.
 """
@@ -25,80 +25,48 @@ SHARED = ("task", "find", "state", "learner", "preset", "tag", "group", "hide", 
           "run", "step")  # fmt: skip
 many: Callable[..., list[Any]] = partial(st.multiselect, filter_mode="contains", select_all=False)
 """a choice of any number of options, which the address does not keep"""
-_PAGE, _ARRIVED = "address: page", "address: arrived"
-_KEPT, _KEEPING, _LEFT = "address: kept", "address: keeping", "address: left"
+_PAGE, _READ = "address: page", "address: read"
 
 
 def visit(page: str) -> None:
-    """This drawing is of `page`; if the last one was of another page, the address counts again."""
-    st.session_state[_ARRIVED] = st.session_state.get(_PAGE) != page
-    st.session_state[_PAGE] = page
-    st.session_state[_KEEPING] = {}  # drop those of an interrupted drawing
+    """This drawing is of `page`; on arrival there, also by Back or Forward, its address counts.
 
-
-def requested(key: str) -> list[str] | None:
-    """The words of the address for a choice; None if the user's own choice counts instead.
-
-    The address counts when the user arrives at a page by a link, or by Back or Forward. A shared
-    choice lasts on arrival at another page by an address without any shared choice. A choice that
-    this page drew before, and then did not draw for a while, is what it was.
+    Then the choices of before are forgotten: shared ones not if the address has none of those.
     """
-    words, context = st.query_params.get_all(key), get_script_run_ctx()
-    if context is not None and context.is_history_navigation:  # Back or Forward
-        return words
-    if st.session_state.get(_ARRIVED):
-        shared = key in SHARED and key in st.session_state
-        return None if shared and not any(map(st.query_params.get_all, SHARED)) else words
-    left = st.session_state.get(_LEFT, {}).get(key, words)
-    return None if key in st.session_state else left
+    context, state = get_script_run_ctx(), st.session_state
+    back = context is not None and context.is_history_navigation
+    if back or state.get(_PAGE) != page:
+        state[_PAGE] = page
+        whole = back or any(map(st.query_params.get_all, SHARED))
+        for key in state.get(_READ, ()):
+            if whole or key not in SHARED:
+                state.pop(key, None)
 
 
 def keep(key: str, words: Sequence[str]) -> None:
     """Set what the address says of a choice from now on; no words for the default choice."""
-    st.session_state.setdefault(_KEEPING, {})[key] = list(words)
-    context = get_script_run_ctx()
-    if context is not None and context.fragment_ids_this_run:
-        write()  # the router draws whole pages
-
-
-def write() -> None:
-    """Put the choices of this drawing into the address, and remove those that it no longer has."""
-    keeping: dict[str, list[str]] = dict(st.session_state.get(_KEEPING, {}))
-    kept: dict[str, list[str]] = st.session_state.get(_KEPT, {})
-    arrived = st.session_state.get(_ARRIVED, False)
-    left: dict[str, list[str]] = {} if arrived else dict(st.session_state.get(_LEFT, {}))
-    for key in kept.keys() - keeping.keys() - set(SHARED):
-        st.session_state.pop(key, None)
-        if not arrived:  # else it is of the page's last visit
-            left[key] = kept[key]
-    st.session_state[_LEFT] = {key: left[key] for key in left.keys() - keeping.keys()}
-    st.session_state[_KEPT] = keeping
-    st.session_state[_ARRIVED] = False  # a fragment may be drawn next
-    words_of: dict[str, list[str]] = {key: [] for key in kept} | keeping
-    changed = {key: of for key, of in words_of.items() if of != st.query_params.get_all(key)}
-    if changed:
-        st.query_params.update(changed)  # no words take a choice out
+    if list(words) != st.query_params.get_all(key):
+        st.query_params.update({key: words})  # no words take a choice out
 
 
 def shared() -> dict[str, list[str]]:
-    """The words of this drawing for the choices that belong to all pages."""
-    keeping = st.session_state.get(_KEEPING, {})
-    return {key: keeping[key] for key in SHARED if keeping.get(key)}
+    """The words of the address for the choices that belong to all pages."""
+    return {key: words for key in SHARED if (words := st.query_params.get_all(key))}
 
 
 def value_of(key: str, read: Callable[[list[str]], T], of: object = None) -> T:
-    """A choice's value: read from the address if it counts, else the session's.
+    """A choice's value: the session's, else read from the address.
 
     It is that of no words when `of`, what it belongs to, is something else than it was.
     """
-    given = requested(key)
-    changed = st.session_state.get(f"{key} of", of) != of
-    if changed and given != st.query_params.get_all(key):
-        given = []
-    st.session_state[f"{key} of"] = of
-    if given is not None:
-        st.session_state[key] = read(given)
-    return st.session_state[key]
+    state = st.session_state
+    state.setdefault(_READ, set()).add(key)
+    if key not in state:
+        state[key] = read(st.query_params.get_all(key))
+    elif state.get(f"{key} of", of) != of:
+        state[key] = read([])
+    state[f"{key} of"] = of
+    return state[key]
 
 
 def words(key: str, among: Callable[[str], bool] = bool) -> list[str]:

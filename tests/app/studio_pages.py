@@ -22,7 +22,6 @@ from app.router import VIEWS, draw
 [view] = [view for view in VIEWS if view.name == "{view}"]
 address.visit(view.PATH)
 draw(view.page)
-address.write()
 """
 
 

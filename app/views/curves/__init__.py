@@ -66,7 +66,6 @@ def page(scope: Scope) -> None:
         runs.settings(scope.shown)
     else:
         numbers.draw(scope)
-    address.write()  # before the end, because Link reads it
     with row:
         shortlinks.button()
     for run in scope.shown:

@@ -14,7 +14,6 @@ stops = st.session_state.get("stops", [100, 200, 300])
 step = timeline.chosen(stops)
 st.session_state["shown"] = step
 timeline.draw(stops[::2], stops[1::2], step)
-address.write()
 """
 
 
