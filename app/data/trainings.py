@@ -3,7 +3,7 @@
 import os
 import signal
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,20 +21,13 @@ LOG_TAIL, LOG_TAIL_BYTES = 8, 64_000
 
 @dataclass
 class Started:
-    """A training that this studio started."""
+    """A command that this studio started."""
 
     words: tuple[str, ...]
     """the arguments of `tom`"""
     process: processes.Process
     log: BinaryIO
     """its output: an unnamed file, which vanishes when no process has it open"""
-    recorded: bool = False
-    """whether a run that it writes has been seen; from then on the run shows its state"""
-
-    def failed(self, writers: Collection[int]) -> bool:
-        """Whether it failed before it had a run; `writers` are the processes of all known runs."""
-        self.recorded = self.recorded or self.process.pid in writers
-        return self.process.poll() not in (None, 0) and not self.recorded
 
     def tail(self) -> str:
         """The last lines of its output."""

@@ -5,7 +5,6 @@ import os
 import shlex
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import session, text
 from app.data import readers, trainings
-from app.data.trainings import Started
 from app.parts import address, form, jobs, widgets
 from app.theme import learner_colour, learner_label
 from tom import readable
@@ -34,8 +32,6 @@ RECENT_S, MOST = 900, 6
 """seconds for which a run that has ended is still shown, and the number of those that are"""
 IN_ROW, FIELDS_IN_ROW = 3, 4
 NAMED = 3
-FORGET = 6
-"""trainings started here that are remembered after their end, and failures that are shown"""
 FOLD, OPENED = "starting", "start opened"
 _STATE_TINTS = {"running": "#1f9d55", "failed": "#d2383f", "dead": "#c77700"}
 PLAY = ":material/play_arrow:"
@@ -80,10 +76,7 @@ def draw() -> None:
     """The form, and a card for each training that runs or has just ended."""
     _form()
     runs = readers.listing(session.links().store).runs
-    waits = any(run.status.alive for run in runs) or any(
-        begun.process.poll() is None and begun.process.pid not in {run.status.pid for run in runs}
-        for begun in started()
-    )
+    waits = any(run.status.alive for run in runs) or any(map(jobs.runs, list(jobs.begun())))
     st.fragment(_cards, run_every=REFRESH_S if waits else None)()
 
 
@@ -169,12 +162,8 @@ def _begin(commands: Sequence[Sequence[str]]) -> None:
     left, right = st.columns([1, 4], vertical_alignment="center")
     label = f"Start {len(commands)} trainings" if many else "Start"
     if left.button(label, type="primary", icon=PLAY, key="start"):
-        begun = started()
-        begun.extend(trainings.start(words) for words in commands)
-        for old in begun[:-FORGET]:
-            if old.process.poll() is not None:
-                with suppress(ValueError):  # another page has just forgotten it
-                    begun.remove(old)
+        for words in commands:
+            jobs.start(form.shown(words), words)
         st.toast("Started: it appears below in a few seconds.", icon=PLAY)
     right.code(form.shown(commands[0]), language="bash", wrap_lines=True)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
@@ -182,18 +171,13 @@ def _begin(commands: Sequence[Sequence[str]]) -> None:
     st.caption("Runs on this machine, and goes on when the studio is closed." + others * many)
 
 
-@st.cache_resource(show_spinner=False)
-def started() -> list[Started]:
-    """The trainings started here, one list for all pages of this studio."""
-    return []
-
-
 def _cards() -> None:
     runs = readers.listing(session.links().store).runs
     writers = {run.status.pid for run in runs}
-    for begun in [one for one in started() if one.failed(writers)][-FORGET:]:
-        st.error("A training that was started here did not begin:", icon=":material/error:")
-        st.code(f"$ {form.shown(begun.words)}\n{begun.tail()}", language=None)
+    for name, begun in list(jobs.begun().items()):
+        # One that has written a run has a card.
+        if begun.words[0] == "train" and begun.process.poll() and begun.process.pid not in writers:
+            jobs.show(name)
     alive = [run for run in runs if run.status.alive]
     shown = [*alive, *[run for run in runs if just_ended(run)][:MOST]]
     width = 2 if len(shown) == 4 else min(len(shown), IN_ROW)
@@ -256,7 +240,7 @@ def figures(run: RunReader) -> dict[str, str]:
 
 def log_of(run: RunReader) -> str:
     """The last lines of a training's output, if it was started here; else empty."""
-    begun = [one for one in started() if one.process.pid == run.status.pid]
+    begun = [one for one in list(jobs.begun().values()) if one.process.pid == run.status.pid]
     return begun[-1].tail() if begun else ""
 
 

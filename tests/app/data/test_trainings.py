@@ -35,8 +35,6 @@ def test_a_training_is_started_and_stopped(tmp_path: Path) -> None:
     run = RunReader(tmp_path / "mine")
     assert run.status.state == "stopped"
     assert "resume" in run.status.reason
-    assert not begun.failed({RunReader(tmp_path / "mine").status.pid})
-    assert not begun.failed(set())  # it has been seen: somebody may trash it now
     assert trainings.gone(tmp_path / "mine")
     with pytest.raises(UserError, match="nothing to stop"):
         trainings.stop(Store(tmp_path), "mine")
@@ -61,7 +59,6 @@ def test_a_training_that_dies_before_it_has_a_run_is_named(monkeypatch: pytest.M
     monkeypatch.setenv("PYTHONHASHSEED", "no number")  # Python ends with code 1 at once
     begun = trainings.start(["train", *SMALL])
     assert begun.process.wait(WAIT_S) == 1
-    assert begun.failed({os.getpid()})
     assert "PYTHONHASHSEED" in begun.tail()
 
 

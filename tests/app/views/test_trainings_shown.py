@@ -21,7 +21,7 @@ from studio_runs import (
 )
 
 from app.data import trainings
-from app.parts import start
+from app.parts import jobs, start
 from app.parts.start import NAMED, figures, head, settings_line
 from tom.record import layout
 from tom.record.lock import acquire
@@ -100,10 +100,17 @@ def test_a_training_of_this_machine_has_a_size_and_one_of_this_studio_a_log(own:
         assert dict(figures(info(own, SECOND)))["memory"].endswith("B")
     begun = stand_in(["train"], "print('first'); print('last')")
     begun.process.wait(TIMEOUT_S)
-    start.started().append(begun)
+    jobs.begun()["a training"] = begun
     set_status(own / PENDULUM_TOM, pid=begun.process.pid)
     assert start.log_of(info(own, PENDULUM_TOM)) == "first\nlast"
     assert start.log_of(info(own, ROAD_MLE)) == ""
+
+
+def test_a_training_that_fails_before_it_has_a_run_says_why() -> None:
+    begun = stand_in(["train"], "raise SystemExit('no such thing')")
+    begun.process.wait(TIMEOUT_S)
+    jobs.begun()["tom train"] = begun
+    assert "no such thing" in [code.value for code in draw("answer").code]
 
 
 # The form
