@@ -10,16 +10,14 @@ from importlib import import_module
 from threading import Event, Thread
 from types import ModuleType
 
-import numpy as np
 import streamlit as st
-from PIL import Image
 from streamlit.errors import StreamlitAPIException
 from streamlit.navigation.page import StreamlitPage
 
 from app import session
 from app.data import readers
 from app.parts import address
-from app.theme import LEARNER_COLOURS, NEUTRAL, rgb
+from app.theme import LEARNER_COLOURS, NEUTRAL
 from tom.learners import SUBJECT
 from tom.plugins.kept import PAGES, Page
 
@@ -69,16 +67,25 @@ VIEWS = (
 )
 BARS = ((5, NEUTRAL), (8, NEUTRAL), (6, NEUTRAL), (20, LEARNER_COLOURS[SUBJECT]))
 """the studio's logo: heights and colours of a weight profile"""
-LOGO = (
-    '<svg xmlns="http://www.w3.org/2000/svg" width="132" height="24" viewBox="0 0 132 24">'
-    + "".join(
+
+
+def drawing(width: int, name: str = "") -> str:
+    """The weight profile as SVG. Streamlit would load a named icon from the internet."""
+    bars = "".join(
         f'<rect x="{2 + 6 * i}" y="{22 - h}" width="4.4" height="{h}" rx="1" fill="{colour}"/>'
         for i, (h, colour) in enumerate(BARS)
     )
-    + '<text x="32" y="18" font-family="Source Sans, sans-serif" font-size="17" '
+    box = f'width="{width}" height="24" viewBox="0 0 {width} 24"'
+    return f'<svg xmlns="http://www.w3.org/2000/svg" {box}>{bars}{name}</svg>'
+
+
+ICON = drawing(27)
+LOGO = drawing(
+    132,
+    '<text x="32" y="18" font-family="Source Sans, sans-serif" font-size="17" '
     # The same width in any font, because the named font may be missing.
     'font-weight="700" textLength="97" lengthAdjust="spacingAndGlyphs" '
-    f'fill="{LEARNER_COLOURS[SUBJECT]}">TOM Studio</text></svg>'
+    f'fill="{LEARNER_COLOURS[SUBJECT]}">TOM Studio</text>',
 )
 
 
@@ -106,17 +113,9 @@ def views() -> tuple[View | Page, ...]:
     return (*VIEWS, *PAGES)
 
 
-def icon() -> Image.Image:
-    """The tab's icon, drawn here because Streamlit loads named icons from the internet."""
-    image = np.zeros((48, 48, 4), np.uint8)
-    for i, (height, colour) in enumerate(BARS):
-        image[46 - 2 * height : 46, 1 + 12 * i : 10 + 12 * i] = (*rgb(colour), 255)
-    return Image.fromarray(image)
-
-
 def run() -> None:
     """Draw the page in the address, or the empty store's page if there are no runs."""
-    st.set_page_config(page_title="TOM Studio", page_icon=icon(), layout="wide")
+    st.set_page_config(page_title="TOM Studio", page_icon=ICON, layout="wide")
     st.logo(LOGO, size="medium")
     pages = [_listed(view, view.ICON, first=i == 0) for i, view in enumerate(views())]
     chosen = st.navigation(pages, position="top")

@@ -141,7 +141,7 @@ def stage(choice: Choice, height: int, part: str = "", *, compact: bool = False)
         st.warning(
             f"The 3D server does not answer; it is started again by itself. {text.markdown(said)}"
         )
-    st.iframe(links.viser(client, session.mode()), height=height)
+    st.iframe(links.viser(client, session.mode()), height=height, alt="3D scene")
 
 
 def rerun(run: RunReader, height: int, name: str = "") -> None:
@@ -155,4 +155,5 @@ def rerun(run: RunReader, height: int, name: str = "") -> None:
         return
     recorded = readers.recordings(run)
     every = [LIVE] if run.status.alive or not recorded else recorded
-    st.iframe(links.rerun(run.run_id, [name] if name else every, session.mode()), height=height)
+    path = links.rerun(run.run_id, [name] if name else every, session.mode())
+    st.iframe(path, height=height, alt="Rerun viewer")

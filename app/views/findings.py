@@ -170,7 +170,7 @@ def _whole(study: Study) -> None:
         with st.expander(f"{title}, {len(table):,} lines") if folded else st.container():
             if not folded:
                 st.markdown(title)
-            _lines(table)
+            _lines(path.stem, table)
 
 
 def _command(study: Study, title: str) -> None:
@@ -179,13 +179,13 @@ def _command(study: Study, title: str) -> None:
             st.code(study.origin["command"], language="bash", wrap_lines=True)
 
 
-def _lines(table: pd.DataFrame) -> None:
+def _lines(name: str, table: pd.DataFrame) -> None:
     numbers = {
         column: st.column_config.NumberColumn(format="%.4g")
         for column in table.select_dtypes("floating").columns
     }
     shown = table.replace(np.inf, np.nan)  # infinity: a level was never reached
-    st.dataframe(shown, hide_index=True, column_config=numbers, placeholder="-")
+    st.dataframe(shown, hide_index=True, column_config=numbers, placeholder="-", alt=name)
 
 
 def _offer(names: Sequence[str]) -> None:

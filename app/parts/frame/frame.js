@@ -1,5 +1,5 @@
-// What all pages share in the browser (app/parts/scope.py): shortcuts, the theme, the names
-// of frames, and notices of trainings that have ended.
+// What all pages share in the browser (app/parts/scope.py): shortcuts, the theme, and
+// notices of trainings that have ended.
 
 const ALL_KEYS = {
   " ": () => press(".timeline button"),
@@ -34,16 +34,6 @@ function onKey(event) {
   if (act && !taken(event) && act() !== false) event.preventDefault();
 }
 
-// Streamlit calls every frame "st.iframe", and its tables nothing.
-function nameFrames() {
-  for (const table of document.querySelectorAll("canvas[role=grid]:not([aria-label]), [data-testid=data-grid-canvas]:not([aria-label])")) {
-    table.setAttribute("aria-label", "Table");
-  }
-  for (const frame of document.querySelectorAll('iframe:not([title]), iframe[title="st.iframe"]')) {
-    frame.title = /websocket=/.test(frame.src) ? "3D scene" : /url=/.test(frame.src) ? "Rerun viewer" : "Figure";
-  }
-}
-
 function notify(events) {
   if (!("Notification" in window) || Notification.permission !== "granted") return;
   for (const { title, body } of events) new Notification(title, { body, tag: title });
@@ -54,9 +44,6 @@ export default function ({ data, parentElement }) {
   window.removeEventListener("keydown", window.tomKeys);
   window.tomKeys = onKey;
   window.addEventListener("keydown", onKey);
-  window.tomFrames ??= new MutationObserver(nameFrames);
-  window.tomFrames.observe(document.body, { childList: true, subtree: true });
-  nameFrames();
   const theme = root.querySelector(".theme");
   theme.hidden = !data.mode;
   const next = data.mode === "dark" ? "Light" : "Dark";

@@ -354,18 +354,6 @@ function followAll({ detail }) {
 if (!window.tomFollowAll) window.addEventListener("tom:step", followAll);
 window.tomFollowAll = followAll;
 
-// Plotly's buttons are links that no key reaches.
-function asButton(link) {
-  link.tabIndex = 0;
-  link.setAttribute("role", "button");
-  link.setAttribute("aria-label", link.dataset.title);
-  link.onkeydown = (event) => {
-    if (event.key !== "Enter" && event.key !== " ") return;
-    event.preventDefault();
-    link.click();
-  };
-}
-
 export default function ({ data, parentElement, setTriggerValue }) {
   const plot = parentElement.querySelector(".plot");
   plot.tell = setTriggerValue;
@@ -387,7 +375,6 @@ export default function ({ data, parentElement, setTriggerValue }) {
       await Plotly.react(plot, traces, dressed(seen, theme(plot)), plot.options);
       if (!plot.wired) wire(plot, Plotly);
       plot.wired = true;
-      for (const button of plot.querySelectorAll('.modebar-btn[data-title^="Save"]')) asButton(button);
       plot.frame = undefined;
       follow(plot, window.tomStep);
     })

@@ -113,7 +113,7 @@ def _exams(runs: Sequence[RunReader]) -> None:
     if not exams:
         return
     st.markdown(text.linked(text.unbroken(verdict(result))), help=WHAT)
-    st.dataframe(table(result), hide_index=True, column_config=COLUMNS)
+    st.dataframe(table(result), hide_index=True, column_config=COLUMNS, alt="The exams")
     with st.container(border=True):
         st.markdown(
             "**Where the weights lie, how the model errs, what came of it**: a point is a fit, at "

@@ -266,7 +266,7 @@ def _listed(run: RunReader, rows: Rows, source: Source, mask: Mask) -> None:
     if box.open:
         index = np.flatnonzero(mask)
         index = index[np.argsort(-rows.weight[index], kind="stable")][:LISTED]
-        box.dataframe(listed(run, rows, index), hide_index=True)
+        box.dataframe(listed(run, rows, index), hide_index=True, alt="The chosen transitions")
 
     def content() -> bytes:
         file = io.BytesIO()

@@ -117,7 +117,7 @@ def _weighed(weighing: Weighing, rows: int) -> None:
         }
         st.dataframe(
             _table(weighing.report["medians"], footprints), hide_index=True, width="content",
-            height="content", column_config={"footprint": FOOTPRINT, **shown},
+            height="content", column_config={"footprint": FOOTPRINT, **shown}, alt="The learners",
         )  # fmt: skip
         st.caption(f"TOM with {text.markdown(weighing.settings)}. Weights have mean 1.")
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from threading import Thread
+from weakref import finalize
 
 import numpy as np
 import pandas as pd
@@ -132,7 +132,7 @@ def _neighbours(run: RunReader, rows: Rows, found: Why, row: int) -> None:
         # Several may lie equally far, to two places.
         table[f"{i + 1}: at {distance:.2f}"] = np.concatenate([obs[i], action[i]])
     numbers = {c: st.column_config.NumberColumn(c, format="%.2f") for c in table.columns[1:]}
-    st.dataframe(table, hide_index=True, height=240, column_config=numbers)
+    st.dataframe(table, hide_index=True, height=240, column_config=numbers, alt="Its nearest")
     first = float(near.near.distance[0])
     st.caption(
         f"Distances in standard deviations over (s, a, s' - s). To its nearest of the policy's "
@@ -253,13 +253,8 @@ def _start(job: str, run: RunReader, source: Source, mask: Mask) -> None:
             np.savetxt(file, source.first + np.flatnonzero(mask), fmt="%d")
         store = session.links().store
         words = command(run.argument, file.name, source.end, source.option, factors, store)
-        begun = jobs.start(job, words)
-
-        def remove() -> None:  # when its reader has ended, whether or not a page looks on
-            begun.process.wait()
-            Path(file.name).unlink(missing_ok=True)
-
-        Thread(target=remove, daemon=True).start()
+        # The file goes with the record of its reader, or with the studio.
+        finalize(jobs.start(job, words), Path(file.name).unlink, missing_ok=True)
 
 
 def _brushed(run: RunReader, brushed: Brushed) -> None:
@@ -285,7 +280,7 @@ def _brushed(run: RunReader, brushed: Brushed) -> None:
             return
         name, drawn = f"region {factor_in_words(factor)}", (known, model)
         page = ghosts(drawn, brushed.ghosts, factor, name, run.learner, session.mode())
-        st.iframe(page, height=BRUSH_HEIGHT)
+        st.iframe(page, height=BRUSH_HEIGHT, alt="Ghosts of two models")
         st.caption(
             "An evaluation episode, and what two models make of its actions, from the real state "
             "every 20 steps; at a quarter of real time."

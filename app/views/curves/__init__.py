@@ -136,7 +136,7 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
             # The highest value of another metric, such as an error, may be the worst.
             table = table.rename(columns=lambda name: name.replace("best", "highest", 1))
         st.markdown(f"**{text.markdown(metric)}** at the step that all runs of a group reach")
-        st.dataframe(in_words(table), hide_index=True, column_config=COLUMNS)
+        st.dataframe(in_words(table), hide_index=True, column_config=COLUMNS, alt="The groups")
 
 
 def _figure(

@@ -85,7 +85,7 @@ def draw(scope: Scope) -> None:
             for name, group, values in zip(names, grouped, scores, strict=True)
             for curve, value in zip(group.curves, values, strict=True)
         )
-        st.dataframe(pd.DataFrame(of_runs), hide_index=True)
+        st.dataframe(pd.DataFrame(of_runs), hide_index=True, alt="The score of each run")
 
 
 def _remarks(
@@ -134,7 +134,7 @@ def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str, keep
     ]
     title = f"**{score.capitalize()}** of the runs, with 95 % bootstrap intervals"
     st.markdown(text.unbroken(title))
-    st.dataframe(pd.DataFrame(rows), hide_index=True, column_config={"iqm": "IQM"})
+    st.dataframe(pd.DataFrame(rows), hide_index=True, column_config={"iqm": "IQM"}, alt=score)
 
 
 def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) -> None:
@@ -173,4 +173,5 @@ def _efficiency(table: pd.DataFrame, metric: str, level: float, until: float) ->
         name: [f"{at:,.0f}" if np.isfinite(at) else "not reached" for at in table[name]]
         for name in ("median step", "first")
     }
-    st.dataframe(table.assign(**steps).rename(columns={"first": "first run"}), hide_index=True)
+    shown = table.assign(**steps).rename(columns={"first": "first run"})
+    st.dataframe(shown, hide_index=True, alt="Sample efficiency")

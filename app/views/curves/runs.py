@@ -37,7 +37,7 @@ def draw(scope: Scope) -> None:
     apart = {path: of for path, of in differences(runs).items() if path not in ALREADY}
     for path, of in reversed([*apart.items()][:MOST_SETTINGS]):
         table.insert(1, path, of)
-    st.dataframe(table, hide_index=True, column_config=COLUMNS)
+    st.dataframe(table, hide_index=True, column_config=COLUMNS, alt="The runs")
     if why := session.read_only_reason():
         st.caption(why)
         return
@@ -144,4 +144,4 @@ def settings(shown: Sequence[RunReader]) -> None:
         first = row.iloc[1]
         return ["" if i < 2 or value == first else MARK for i, value in enumerate(row)]
 
-    st.dataframe(table.style.apply(marked, axis=1), hide_index=True)
+    st.dataframe(table.style.apply(marked, axis=1), hide_index=True, alt="Settings")

@@ -1,6 +1,5 @@
 """Replays: recorded episodes in 3D, up to four runs side by side, and a run's film."""
 
-import shlex
 from collections.abc import Sequence
 
 import streamlit as st
@@ -137,18 +136,11 @@ def _film(scope: Scope) -> None:
         width="stretch", icon=":material/download:", on_click="ignore",
         help="it opens without a server and without a network",
     )  # fmt: skip
-    st.iframe(film, height=FILM_HEIGHT)
+    st.iframe(film, height=FILM_HEIGHT, alt="Film")
     st.caption(
         "A robot and a point of the buffer have the mean weight of the hundredth of the buffer "
         "that they lie in, at every fit. In front: an evaluation of the newest policy kept by "
-        "then, at half speed. Space plays and stops, arrows go a second."
+        "then, at half speed. Space plays and stops, arrows go a second. The MP4 button needs a "
+        "browser that encodes: on this machine, or by https; `tom studio --cinema` writes one too."
     )
-    with st.expander("From a terminal", icon=":material/terminal:"):
-        words = ["tom", "studio", "--cinema", "film", "--run", run.run_id]
-        words += ["--store", session.links().store, "--theme", session.mode()]
-        st.code(shlex.join(words), language="bash")
-        st.caption(
-            "Writes cinema.html, cinema.mp4 and a small cinema.webp; needs Chromium. The film's "
-            "own button saves the MP4 where the browser can encode: on this machine, or by https."
-        )
     widgets.left_out(run, "other evaluations")
