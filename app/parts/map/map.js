@@ -55,24 +55,17 @@ function unworded([where, outline]) {
 
 // Marks the rows that each filter leaves out. What is not here yet is filtered when it has come.
 function filterAll(root) {
-  const { rows, selection } = root;
-  if (!rows) return;
-  rows.applied ??= new Map();
-  const wanted = new Map(Object.entries(selection.intervals).map(([name, interval]) => [name, JSON.stringify(interval)]));
-  if (selection.outline) wanted.set("outline", JSON.stringify(selection.outline));
-  for (const name of [...rows.applied.keys()]) {
-    if (wanted.has(name)) continue;
-    unfilter(rows, name);
-    rows.applied.delete(name);
-  }
-  for (const [name, words] of wanted) {
-    if (rows.applied.get(name) === words) continue;
-    const plane = name === "outline" && root.given.planes.find(({ key }) => key === selection.outline.plane);
-    const column = columnNamed(root, name);
-    const done = plane
-      ? filterInside(rows, plane, selection.outline.corners)
-      : column && filterBetween(rows, column, selection.intervals[name]);
-    if (done) rows.applied.set(name, words);
+  const { rows, selection: { intervals, outline } } = root;
+  const plane = outline && root.given.planes.find(({ key }) => key === outline.plane);
+  const filters = Object.entries(intervals).map(([name, interval]) => [name, withinInterval(rows, columnNamed(root, name), interval)]);
+  if (plane) filters.push(["outline", withinOutline(rows, plane, outline.corners)]);
+  rows.failed.fill(0);
+  rows.bits.clear();
+  for (const [name, passes] of filters) {
+    if (!passes) continue;
+    const bit = 1 << rows.bits.size;
+    rows.bits.set(name, bit);
+    for (let i = 0; i < rows.count; i++) if (!passes(i)) rows.failed[i] |= bit;
   }
 }
 
@@ -155,7 +148,7 @@ function drawNow(root) {
   drawMap(root);
   drawHistograms(root);
   say(root);
-  root.dataset.drawn = JSON.stringify([root.rows.source.label, root.given.planes[0]?.key, root.rows.applied?.size ?? 0]);
+  root.dataset.drawn = JSON.stringify([root.rows.source.label, root.given.planes[0]?.key, root.rows.bits.size]);
   root.drawnAt = performance.now();
 }
 

@@ -104,6 +104,7 @@ function rowsOf(given, source, weights) {
     squares += w * w;
   }
   const own = { [AGE]: age, [RANK]: rank, [WEIGHT]: weights };
+  // `failed` has the bit of each filter that leaves a row out.
   const rows = { source, first: source.first, count, weight, total, squares, own, failed: new Uint32Array(count), bits: new Map(), store: new Uint32Array(count + 1) };
   rows.codes = (column) => {
     if (own[column.name]) return own[column.name];
@@ -114,61 +115,33 @@ function rowsOf(given, source, weights) {
   return rows;
 }
 
-// The bit of a filter in `failed`, which has it for each row that the filter leaves out.
-function bitOf(rows, name) {
-  if (!rows.bits.has(name)) {
-    const free = [...Array(31).keys()].find((bit) => ![...rows.bits.values()].includes(1 << bit));
-    if (free === undefined) return 0;
-    rows.bits.set(name, 1 << free);
-  }
-  return rows.bits.get(name);
-}
-
-function filterBetween(rows, column, interval) {
-  const codes = rows.codes(column);
-  if (!codes) return false;
-  const bit = bitOf(rows, column.name);
+// Whether a row's quantity lies in an interval; null if its codes are not here yet.
+function withinInterval(rows, column, interval) {
+  const codes = column && rows.codes(column);
+  if (!codes) return null;
   const [first, last] = bounds(column, interval);
-  const { failed, count } = rows;
-  for (let i = 0; i < count; i++) {
-    const code = codes[i];
-    if (code >= first && code <= last) failed[i] &= ~bit;
-    else failed[i] |= bit;
-  }
-  return true;
+  return (i) => codes[i] >= first && codes[i] <= last;
 }
 
-function unfilter(rows, name) {
-  const bit = rows.bits.get(name);
-  if (!bit) return;
-  rows.bits.delete(name);
-  for (let i = 0; i < rows.count; i++) rows.failed[i] &= ~bit;
-}
-
-// Rows inside a closed outline, by the even-odd rule: rows are counted, not cells.
-function filterInside(rows, plane, corners) {
+// Whether a row lies inside a closed outline, by the even-odd rule: rows are counted, not cells.
+function withinOutline(rows, plane, corners) {
   const [X, Y] = plane.axes.map((axis) => here(axis.url)?.subarray(rows.first, rows.first + rows.count));
-  if (!X || !Y) return false;
-  const bit = bitOf(rows, "outline");
+  if (!X || !Y) return null;
   const [ax, ay] = plane.axes;
-  const xs = corners.map(([x]) => x);
-  const ys = corners.map(([, y]) => y);
+  const [xs, ys] = [0, 1].map((axis) => corners.map((corner) => corner[axis]));
   const [left, right, bottom, top] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
   const n = corners.length;
-  for (let i = 0; i < rows.count; i++) {
+  return (i) => {
     const x = ax.low + (X[i] / TOP) * (ax.high - ax.low);
     const y = ay.low + (Y[i] / TOP) * (ay.high - ay.low);
+    if (x < left || x > right || y < bottom || y > top) return false;
     let within = false;
-    if (x >= left && x <= right && y >= bottom && y <= top) {
-      for (let k = 0; k < n; k++) {
-        const [x0, y0, x1, y1] = [xs[k], ys[k], xs[(k + 1) % n], ys[(k + 1) % n]];
-        if (y0 > y !== y1 > y && x < x0 + ((y - y0) / (y1 - y0)) * (x1 - x0)) within = !within;
-      }
+    for (let k = 0; k < n; k++) {
+      const [x0, y0, x1, y1] = [xs[k], ys[k], xs[(k + 1) % n], ys[(k + 1) % n]];
+      if (y0 > y !== y1 > y && x < x0 + ((y - y0) / (y1 - y0)) * (x1 - x0)) within = !within;
     }
-    if (within) rows.failed[i] &= ~bit;
-    else rows.failed[i] |= bit;
-  }
-  return true;
+    return within;
+  };
 }
 
 // How many rows, and how much weight, lie in each bin: all rows, and those that pass every other

@@ -250,7 +250,7 @@ def opened(visit: Visit, **query: list[str]) -> "Page":
     visit.page.goto(visit.links.opened(f"attention?run={PENDULUM_TOM}&step=300&{words}"))
     visit.page.locator(".buffer-map[data-loaded]").wait_for()
     filters = len(query.get("where", [])) + len(query.get("outline", []))
-    applied = f"document.querySelector('.buffer-map').rows.applied?.size === {filters}"
+    applied = f"document.querySelector('.buffer-map').rows?.bits.size === {filters}"
     until(visit.page, lambda: visit.page.evaluate(applied), "not all filters were applied")
     return visit.page
 
