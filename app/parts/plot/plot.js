@@ -1,17 +1,8 @@
 // Draws a Plotly figure into an element that outlives its data (app/parts/plot/__init__.py).
 
-function library(path) {
-  window.tomPlotly ??= new Promise((resolve, reject) => {
-    const script = document.createElement("script");
-    script.src = path;
-    script.onload = () => resolve(window.Plotly);
-    script.onerror = () => {
-      window.tomPlotly = undefined; // the next chart tries again
-      reject(new Error(`cannot load ${path}`));
-    };
-    document.head.appendChild(script);
-  });
-  return window.tomPlotly;
+async function library(path) {
+  if (!window.Plotly) await import(new URL(path, document.baseURI));
+  return window.Plotly;
 }
 
 // Plotly takes a second of the page's only thread. So it is loaded when the rest of the page is there,
@@ -20,7 +11,7 @@ async function turn(after) {
   const coming = [after, "[data-test-script-state=running]", "[data-testid=stSkeleton]"].filter(Boolean);
   const begun = performance.now();
   while (performance.now() - begun < 3000) {
-    const mayDraw = after ? document.querySelector(`${after}[data-drawn]`) : window.tomPlotly;
+    const mayDraw = after ? document.querySelector(`${after}[data-drawn]`) : window.Plotly;
     if (mayDraw || !document.querySelector(coming.join())) return;
     await new Promise((go) => setTimeout(go, 20));
   }

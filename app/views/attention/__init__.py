@@ -23,7 +23,6 @@ from app.scenes.control import RoadChoice
 from app.theme import learner_label
 from app.views.attention import in_buffer, learners
 from tom.analysis.curves import curve_points
-from tom.config import OWN_LOOP
 from tom.envs import ROAD
 from tom.exams import informative
 from tom.learners import LEARNERS
@@ -177,8 +176,7 @@ def _even(run: RunReader, profiles: Profiles, chosen: int) -> None:
 
 def _exam(run: RunReader, fit: int) -> None:
     """What the exam of a fit means, or why it has none."""
-    frame = readers.metrics(run)
-    metrics = at_fit(frame, fit)
+    metrics = at_fit(readers.metrics(run), fit)
     if metrics:
         said = ["The exam of this fit: the steps that its policy made next, which were not in its "
                 "buffer.", about_weights(metrics)]  # fmt: skip
@@ -191,16 +189,10 @@ def _exam(run: RunReader, fit: int) -> None:
             )
         said.append(of_which_weights(run.learner, run.settings))
         st.caption(text.markdown(" ".join(said)))
-    elif run.own_loop and run.learner == OWN_LOOP:
-        st.caption("No exam: weights that a loop hands in sit none, those of `tom.weigh_live` do.")
-    elif run.status.alive and fit == readers.profiles(run).env_step[-1]:
-        st.caption("No exam yet: it is over with the next fit.")
-    elif any(name.startswith("exam/") for name in frame.columns):
-        st.caption("This fit sat no exam.")
     else:
         st.caption(
-            "No exam: the run is of a version before fits were examined, or ended while its first "
-            "fit served."
+            "No exam of this fit: it is over with the next one. Weights that a loop hands in, and "
+            "runs of versions before exams, have none."
         )
 
 
