@@ -1,6 +1,6 @@
 """The exams of fits, their footprints, errors and next returns; and models' errors in sample."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -99,41 +99,3 @@ def errors_by_age(
     zero, kept = {"rangemode": "tozero"}, f"errors by age {keep}"
     y = "one-step error (std)"
     return styled(figure, PLACE, height, keep=kept, y=y, x_axis=AGES, y_axis=zero, **lone)
-
-
-Errors = tuple[str, str, float, float]
-"""a run's id, its learner, and its model's error, in standard deviations of a step's change: on the
-policy's newest transitions, and on the rest of the buffer"""
-
-
-def focus(groups: Mapping[str, Sequence[Errors]], height: int, keep: str) -> go.Figure:
-    """For each group, by name, its runs' errors on the policy's transitions and on the others.
-
-    A line joins a run's two errors. The more runs, the closer they stand, each group at its tick.
-    """
-    figure = go.Figure()
-    for i, runs in enumerate(groups.values()):
-        apart = min(0.12, 0.6 / len(runs))
-        for k, (run_id, learner, policy, other) in enumerate(runs):
-            colour, name = learner_colour(learner), text.plotly(run_id)
-            nudge = apart * (k - (len(runs) - 1) / 2)
-            ring = {"color": [colour, "rgba(0,0,0,0)"], "line": {"color": colour, "width": 2}}
-            figure.add_trace(
-                line(
-                    [i - 0.15 + nudge, i + 0.15 + nudge],
-                    [policy, other],
-                    faded(colour, 0.5),
-                    1.5,
-                    f"{name}<br>%{{customdata}}<br>error %{{y:.3g}}<extra></extra>",
-                    customdata=["the policy's transitions", "the other transitions"],
-                    meta=name,
-                    mode="lines+markers",
-                    marker={"size": 10, "symbol": "circle", **ring},
-                    showlegend=False,
-                )
-            )
-    kept = " ".join([keep, *(run_id for runs in groups.values() for run_id, *_ in runs)])
-    names = {"tickvals": list(range(len(groups))), "ticktext": list(map(text.plotly, groups))}
-    names |= {"range": [-0.6, len(groups) - 0.4]}
-    zero = {"rangemode": "tozero"}
-    return styled(figure, "", height, keep=kept, y="error (std)", x_axis=names, y_axis=zero)

@@ -14,12 +14,11 @@ from app.data.cache import VersionedCache
 from app.data.called import told_apart
 from app.data.exams import Exams, Ranking, Standing, exams_of, middle, ranking
 from app.figures.curves import looks_of
-from app.figures.exams import Errors, errors_by_age, focus, footprint_error_return
+from app.figures.exams import errors_by_age, footprint_error_return
 from app.parts import widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from tom.analysis import statistics
-from tom.analysis.curves import curve_points
 from tom.analysis.scores import counted_from
 from tom.analysis.settings import kinds_of
 from tom.config import SAC_ALONE
@@ -46,10 +45,6 @@ LENGTHS = 2.0
 """a run is like the others if it has between half and twice their median number of steps"""
 FEW_NAMED, NAMED = 8, 3
 """runs that are named in a line, not in its help; groups that a sentence names at most"""
-PAIRS = {
-    "One step": ("model/error_policy", "model/error_other"),
-    "Five steps in a row": ("model/rollout_error_policy", "model/rollout_error_other"),
-}
 COLUMNS = {
     "one step": st.column_config.Column(
         "error, one step", help="interquartile mean over runs, 95 % bootstrap interval"
@@ -82,12 +77,11 @@ def draw(scope: Scope, env: str) -> None:
     st.subheader("In sample: on rows that the models were fitted to", anchor=False)
     st.caption(
         "A model can err little here and much where its policy goes next: only the exams above are "
-        "out of sample."
+        "out of sample. What each run measured on its own buffer is on Curves, as model/error_*."
     )
     run = scope.one(lambda run: run in alike and buffer.has_rows(run), widgets.telling)
     if run is not None:
         _on_one_buffer(run, alike)
-    _recorded(alike)
 
 
 def _exams(runs: Sequence[RunReader]) -> None:
@@ -235,52 +229,6 @@ def in_turn(run: RunReader, others: Sequence[RunReader]) -> list[RunReader]:
         turns[other.run_id] = other.run_id != run.run_id, seen[names[other.run_id]]
         seen[names[other.run_id]] += 1
     return sorted(others, key=lambda other: turns[other.run_id])
-
-
-def _recorded(runs: Sequence[RunReader]) -> None:
-    """The errors that the runs have recorded at their last fits of like step."""
-    columns = st.columns(2)
-    for column, (words, (policy, other)) in zip(columns, PAIRS.items(), strict=True):
-        groups = focus_values(runs, policy, other)
-        with column, st.container(border=True):
-            st.markdown(
-                f"**{words}**: full, the policy's newest transitions; hollow, the rest",
-                help="at each run's last fit up to the step that every run reaches, on its own "
-                "buffer: rows the model was just fitted to",
-            )
-            if groups:
-                chart(focus(groups, 280, policy), f"focus {words}", "model error by group")
-                drawn = {run_id for of in groups.values() for run_id, *_ in of}
-                without = [run for run in runs if run.run_id not in drawn]
-                _left_out(runs, {"not measured": without})
-            else:
-                st.caption("No run of this task has measured it.")
-    st.caption(
-        "Above, each run is on its own buffer, which differs from run to run. The same buffer for "
-        "every learner, with models fitted afresh and transitions that the policy makes anew: "
-        "`tom reproduce focus`."
-    )
-
-
-def focus_values(runs: Sequence[RunReader], policy: str, other: str) -> dict[str, list[Errors]]:
-    """The errors of each run, by the name of its group: `policy` and `other`.
-
-    Those of its last fit up to the step that every run reaches: errors fall as data come.
-    """
-    groups, names = dict[str, list[Errors]](), group_names(runs)
-    measured = []
-    for run in sorted(runs, key=lambda run: (run.learner, names[run.run_id], run.seed, run.run_id)):
-        frame = readers.metrics(run)
-        pair = [curve_points(frame, metric) for metric in (policy, other)]
-        if all(len(step) for step, _ in pair):
-            measured.append((run, pair))
-    until = min((step[-1] for _, pair in measured for step, _ in pair), default=0)
-    for run, pair in measured:
-        values = [value[step <= until] for step, value in pair]
-        if all(len(value) for value in values):
-            last, rest = (float(value[-1]) for value in values)
-            groups.setdefault(names[run.run_id], []).append((run.run_id, run.learner, last, rest))
-    return groups
 
 
 def of_like_length(runs: Sequence[RunReader]) -> tuple[list[RunReader], list[RunReader]]:

@@ -17,7 +17,7 @@ from app.data import readers
 from app.data.exams import Exams
 from app.figures.base import decimate, relative_scale
 from app.figures.curves import CORE, POINTS, Axes, alone, group_curves
-from app.figures.exams import FITS, errors_by_age, focus, footprint_error_return
+from app.figures.exams import FITS, errors_by_age, footprint_error_return
 from app.figures.replay import moments_figure
 from app.figures.statistics import improvement
 from app.figures.weights import (
@@ -165,13 +165,11 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
     """What each figure of a run's data keeps its zoom for."""
     bins, last = profiles.bins, len(profiles.env_step) - 1
     curve = replace(long_curve(len(bins)), run_id=run_id)
-    errors = {"TOM": [(run_id, "tom", float(last), 1.0)]}
     drawn = [
         weight_profile(bins[last], "tom", 300, keep=run_id),
         over_fits([("a", curve, profiles)], "light", 400),
         probe_profiles({"tom": bins}, 0, 300, keep=run_id),
         errors_by_age([("a", "tom", bins[last])], 5, 300, keep=run_id),
-        focus(errors, 300, "model/error_policy"),
         moments_figure(bins[None], bins[None], ["a"], 100, keep=run_id),
         improvement(WINS.head(1), ["red"], 200, run_id),
     ]
