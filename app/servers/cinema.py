@@ -14,7 +14,7 @@ from PIL import Image
 from app.data import readers
 from app.parts import widgets
 from app.scenes.film import HEIGHT, SECONDS, WIDTH, cinema, may_be_told, story
-from app.servers.browser import animation, chromium, scaled
+from app.servers.browser import chromium
 from app.theme import Mode
 from tom.cli.output import ProgressReport
 from tom.errors import UserError
@@ -23,9 +23,8 @@ from tom.record.files import replace
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-SHORT_S, SHORT_RATE, SHORT_WIDTH = 14, 8, 800
-"""of the small moving picture: seconds, pictures a second, pixels"""
-QUALITIES = (60, 45, 30, 18)
+SHORT_S, SHORT_RATE, SHORT_WIDTH, QUALITY = 14, 8, 800, 45
+"""of the small moving picture: seconds, pictures a second, pixels, and how well it is kept"""
 
 _FILM = """async (length) => {
   film.stop();
@@ -64,10 +63,16 @@ def export(
         count, frames = SHORT_S * SHORT_RATE, []
         for i in range(count):
             content = base64.b64decode(tab.evaluate(_PICTURE, seconds * i / (count - 1)))
-            frames.append(scaled(Image.open(io.BytesIO(content)), SHORT_WIDTH))
-    short = animation(frames, [SHORT_WIDTH], QUALITIES, (1000 // SHORT_RATE, 2500))
+            frame = Image.open(io.BytesIO(content)).convert("RGB")
+            size = SHORT_WIDTH, round(frame.height * SHORT_WIDTH / frame.width)
+            frames.append(frame.resize(size, Image.Resampling.LANCZOS))
+    short, each = io.BytesIO(), 1000 // SHORT_RATE
+    frames[0].save(
+        short, "WEBP", save_all=True, append_images=frames[1:], loop=0, quality=QUALITY,
+        duration=[each] * (count - 1) + [2500], method=4,
+    )  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)  # all of it is made, or none
-    for name, content in (("html", page.encode()), ("mp4", film), ("webp", short)):
+    for name, content in (("html", page.encode()), ("mp4", film), ("webp", short.getvalue())):
         path = folder / f"cinema.{name}"
         replace(path, lambda file, content=content: file.write(content), sync=False)
         print(path, flush=True)
