@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import plotly.graph_objects as go
 import pytest
 from hypothesis import given
@@ -349,6 +350,16 @@ def test_a_run_gets_a_name_is_found_by_it_and_goes_to_the_trash_and_back(own: Pa
     app.multiselect(key="restored").select(PENDULUM_TOM).run()
     next(button for button in app.button if button.label == "Bring back").click().run()
     assert (own / PENDULUM_TOM / layout.CONFIG).exists()
+
+
+def test_a_tick_in_the_table_is_an_eye(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unticked(table: pd.DataFrame, **_: object) -> pd.DataFrame:
+        return table.assign(shown=table["shown"] & (table["run"] != SEEDS[1]))
+
+    monkeypatch.setattr(page.runs.st, "data_editor", unticked)
+    app = curves("Runs")
+    assert app.session_state["hide"] == [SEEDS[1]]
+    assert app.query_params["hide"] == SEEDS[1]
 
 
 def test_tags_of_several_runs_are_those_they_share_and_others_stay(own: Path) -> None:
