@@ -5,7 +5,6 @@ what is printed, and the exit code.
 """
 
 import signal
-import sys
 import time
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -19,12 +18,9 @@ from matplotlib import rc_context
 
 from tom.cli.output import put_out, show_rows
 from tom.cli.parser import add_json, folder
-from tom.cli.train import followed
-from tom.config import SacRecordingConfig
 from tom.errors import DivergedError
 from tom.machine.processes import on_stopping
 from tom.readable import whole
-from tom.record import RunReader, Store
 from tom.reports.figures import STYLE, save
 from tom.reports.report import origin, write_csv, write_report
 from tom.studies import (
@@ -39,8 +35,6 @@ from tom.studies import (
     tabular,
 )
 from tom.studies.study import Findings, make_folder, say
-from tom.training.resume import resume, unfinished
-from tom.training.run import train
 
 _BEGUN = time.monotonic()  # a study is a separate process
 STUDIES = (road, progression, focus, footprint, capacity, improvement, online, returns, tabular)
@@ -91,7 +85,6 @@ def run(study: ModuleType, args: Namespace) -> int:
 
 
 def _run(study: ModuleType, args: Namespace) -> int:
-    args.record = partial(record, args)
     with rc_context(STYLE):
         found: Findings = study.find(args)
     make_folder(args.out)
@@ -134,16 +127,3 @@ def _run(study: ModuleType, args: Namespace) -> int:
 
     put_out(args, content | {"verdict": verdict, "out": str(args.out)}, shown)
     return 1 if failed else 0
-
-
-def record(args: Namespace, store: Store, config: SacRecordingConfig) -> RunReader:
-    """Make a recording, or go on with one that was stopped; a signal stops it with a checkpoint."""
-    make_folder(args.out)
-    begun = unfinished(store, config)
-    work = partial(resume, store, begun) if begun else partial(train, config, store)
-    with followed(config, sys.stderr, rerun=False) as (_, options):
-        made = work(**options)
-    stop = options.get("stop")
-    if stop is not None and stop.asked:
-        raise KeyboardInterrupt
-    return made

@@ -1,9 +1,9 @@
 """Is the model better where the policy goes, and at what price elsewhere?
 
-Each learner weighs the replay buffer of a SAC recording (random half, ordered half; made where the
-store has none) for SAC's final policy. The paper's model is fitted with those weights from new
-initial parameters. Its error is measured on fresh transitions of the policy, and on the two halves
-of the buffer. Nothing is accepted or refused: it says for whom weighting helped, and where.
+Each learner weighs the replay buffer of a SAC recording (random half, ordered half) for SAC's final
+policy. The paper's model is fitted with those weights from new initial parameters. Its error is
+measured on fresh transitions of the policy, and on the two halves of the buffer. Nothing is
+accepted or refused: it says for whom weighting helped, and where.
 """
 
 from argparse import Namespace

@@ -1,9 +1,9 @@
 """Do TOM's weights follow the policy instead of the position in the buffer?
 
-Every recording of SAC (random half, ordered half; made where the store has none) is weighed three
-times: for its trained policy, for the random policy (the profile must reverse), and for its trained
-policy with shuffled rows (TOM's profile must stay the same; PMAC's must change, because it depends
-on the position). The median over TOM's seeds is judged, of the first preset.
+Every recording of SAC (random half, ordered half) is weighed three times: for its trained policy,
+for the random policy (the profile must reverse), and for its trained policy with shuffled rows
+(TOM's profile must stay the same; PMAC's must change, because it depends on the position). The
+median over TOM's seeds is judged, of the first preset.
 """
 
 from argparse import ArgumentParser, Namespace

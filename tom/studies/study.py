@@ -134,7 +134,7 @@ def say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
-# Recordings of SAC that studies take, or make where the store has none.
+# Recordings of SAC that studies take.
 
 SAC_SEEDS = {"halfcheetah": (0,), "hopper": (0, 1)}
 """the recordings of the acceptance; other tasks have one"""
@@ -149,14 +149,18 @@ def add_recordings(parser: ArgumentParser) -> None:
 
 
 def recordings(args: Namespace, seeds: list[int] | None = None) -> list[RunReader]:
-    """The recordings of every task and of SAC's `seeds`; `args.record` makes missing ones."""
-    store = Store(args.store)
-    configs = [
-        SacRecordingConfig(env=env, seed=seed, steps=args.steps)
-        for env in tasks(args.env)
-        for seed in seeds or SAC_SEEDS.get(env, (0,))
-    ]
-    return [recorded(store, config) or args.record(store, config) for config in configs]
+    """The recordings of every task and of SAC's `seeds`. Raises UserError if one is missing."""
+    store, found, lacking = Store(args.store), list[RunReader](), []
+    for env in tasks(args.env):
+        for seed in seeds or SAC_SEEDS.get(env, (0,)):
+            run = recorded(store, SacRecordingConfig(env=env, seed=seed, steps=args.steps))
+            if run is None:
+                lacking.append(f"tom record-sac --env {env} --steps {args.steps} --seed {seed}")
+            else:
+                found.append(run)
+    if lacking:
+        raise UserError(f"{store.path}/ lacks recordings: {'; '.join(lacking)}")
+    return found
 
 
 def recorded(store: Store, config: SacRecordingConfig) -> RunReader | None:
