@@ -1,6 +1,5 @@
 """Every learner's model on the same buffer, tested on what the policy makes anew."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +34,6 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> RunReader:
     return train(config, Store(tmp_path_factory.mktemp("store")), "recorded", rerun=False)
 
 
-ENV = "inverted-pendulum"
 MLE = {"recording": "hopper-s0", "rival": "mle", "seed": 0, "ess": 1.0}
 MLE |= {"policy": 0.2, "policy_rollout": 0.8, "ordered": 0.2, "random": 0.1}
 
@@ -85,16 +83,18 @@ def test_toms_rivals_have_the_objectives_of_their_presets():
     assert _config("hopper", "tom mended", "smoke").tom == mended  # a small model alone
 
 
+def test_a_recording_that_is_missing_is_named_by_its_command(recording: RunReader, capsys):
+    store = str(recording.path.parent)  # its only recording has other settings
+    assert main(["reproduce", "focus", "--env", "hopper", "--steps", "1000", "--store", store]) == 2
+    assert "tom record-sac --env hopper --steps 1000 --seed 0" in capsys.readouterr().err
+
+
 @pytest.mark.slow
-def test_the_command_writes_what_it_prints(recording: RunReader, tmp_path: Path, capsys):
-    store, out = tmp_path / "store", tmp_path / "out"
-    arguments = ["reproduce", "focus", "--env", ENV, "--steps", "1000", "--seeds", "0"]
-    arguments += ["--store", str(store), "--out", str(out)]
-    shutil.copytree(recording.path, store / "other")  # of another task
-    assert main(arguments) == 2
-    assert f"tom record-sac --env {ENV} --steps 1000 --seed 0" in capsys.readouterr().err
-    train(SacRecordingConfig(env=ENV, steps=1000), Store(store), rerun=False)
-    assert main(arguments) == 0
+def test_the_command_writes_what_it_prints(tmp_path: Path, capsys):
+    env, store, out = "inverted-pendulum", tmp_path / "store", tmp_path / "out"
+    train(SacRecordingConfig(env=env, steps=1000), Store(store), rerun=False)
+    arguments = ["reproduce", "focus", "--env", env, "--steps", "1000", "--seeds", "0"]
+    assert main([*arguments, "--store", str(store), "--out", str(out)]) == 0
     assert {p.name for p in out.iterdir()} == {
         "errors.csv", "summary.csv", "errors.png", "errors.svg", "report.html", "report.json",
         "cases",
