@@ -292,22 +292,30 @@ def given_plane(run: RunReader, key: str) -> dict | None:
         assert found is not None
         return found.codes[i]
 
+    made = place.codes if run.status.alive else (None, None)
     axes = [
-        _given(run, axis, place.names[i], partial(codes, i)) for i, axis in enumerate(place.axes)
+        _given(run, axis, place.names[i], partial(codes, i), made[i])
+        for i, axis in enumerate(place.axes)
     ]
     return {"key": key, "axes": axes}
 
 
-def _given(run: RunReader, column: Column, name: str, make: Callable[[], columns.Codes]) -> dict:
+def _given(
+    run: RunReader,
+    column: Column,
+    name: str,
+    make: Callable[[], columns.Codes],
+    made: columns.Codes | None = None,
+) -> dict:
     """A quantity of the record with the address of its codes."""
     version = run.version("buffer"), run.version("model")
-    url = offer((run.path, version, column), make)
+    url = offer((run.path, version, column), make, made)
     return {"name": name, "low": column.low, "high": column.high, "url": url}
 
 
 def given_source(run: RunReader, source: Source) -> dict:
     """What the browser needs to know of weights."""
-    label, of_fit = source.label, source.weighing is None
+    label, of_fit, count = source.label, source.weighing is None, len(source.weight)
 
     def again() -> Source:
         found = _fit(run, int(label), buffer.length(run)) if of_fit else others(run).get(label)
@@ -316,15 +324,18 @@ def given_source(run: RunReader, source: Source) -> dict:
         return found
 
     def far() -> columns.Codes:
-        found = distances(run, again())
-        unknown = np.full(len(again().weight), np.nan)
-        return columns.encode(unknown if found is None else found, DISTANCE)
+        try:
+            found = distances(run, again())
+        except UserError:  # a training has replaced this fit
+            found = None
+        return columns.encode(np.full(count, np.nan) if found is None else found, DISTANCE)
 
     key = run.path, label, source.version
+    made = columns.weight_codes(source.weight) if run.status.alive else None
     return {
-        "label": label, "first": source.first, "count": len(source.weight),
+        "label": label, "first": source.first, "count": count,
         "step": int(label) if of_fit else None,
-        "url": offer(key, lambda: columns.weight_codes(again().weight)),
+        "url": offer(key, lambda: columns.weight_codes(again().weight), made),
         "distance": offer((*key, DISTANCE), far) if knows_policy(run, source) else None,
     }  # fmt: skip
 

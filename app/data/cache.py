@@ -122,11 +122,19 @@ _MAKERS: LRUCache[str, Callable[[], NDArray]] = LRUCache(OFFERED)
 _OFFERING = Lock()
 
 
-def offer(key: tuple[object, ...], make: Callable[[], NDArray]) -> str:
-    """The address of the array of `key`, which holds its version; `make` should hold no array."""
+def offer(
+    key: tuple[object, ...], make: Callable[[], NDArray], made: NDArray | None = None
+) -> str:
+    """The address of the array of `key`, which holds its version; `make` should hold no array.
+
+    `made` is that array if a training may soon replace what `make` reads.
+    """
     name = hashlib.sha256(repr(key).encode()).hexdigest()[:32]
     with _OFFERING:
         _MAKERS[name] = make
+    if made is not None:
+        with LOCK:
+            RESULTS[name] = None, made
     return f"{ARRAYS}/{name}"
 
 
@@ -134,4 +142,8 @@ def array(name: str) -> bytes | None:
     """The bytes of an offered array, little-endian; None if no page has offered it."""
     with _OFFERING:
         make = _MAKERS.get(name)
+    with LOCK:
+        kept = RESULTS.get(name)
+    if kept is not None:
+        return kept[1].tobytes()
     return None if make is None else make().tobytes()

@@ -385,7 +385,10 @@ export default function ({ data, parentElement, setTriggerValue }) {
     }
   }
   if (data.colour !== root.coloured) root.colour = root.coloured = data.colour; // so Back counts
-  root.sourceAt = sourceOf(data.given, window.tomStep ?? data.step);
+  // When a fit has come, the timeline, which is drawn later, does not know yet.
+  const fits = JSON.stringify(data.given.sources.map(({ step }) => step));
+  root.sourceAt = sourceOf(data.given, (fits === root.fits ? window.tomStep : undefined) ?? data.step);
+  root.fits = fits;
   root.querySelector(".map-view").style.fontFamily = style.getPropertyValue("--st-font");
   if (!root.wired) {
     buildHead(root);

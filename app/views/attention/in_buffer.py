@@ -108,7 +108,8 @@ def draw(run: RunReader, fit: int) -> None:
     state = st.session_state
     with st.container(border=True):
         map.draw(
-            given, source.end, where, outline, address.word("colour", WEIGHT.name),
+            given, 0 if source.weighing else int(source.label), where, outline,
+            address.word("colour", WEIGHT.name),
             chosen=lambda where, outline: state.update(where=where, outline=outline),
             picked=why.pick, coloured=lambda name: state.update(colour=[name]),
         )  # fmt: skip

@@ -15,7 +15,7 @@ from kernel import wait_for
 from numpy.typing import NDArray
 from streamlit.testing.v1 import AppTest
 from studio_pages import Show, answers, array, draw, figures, in_buffer, map_of, metrics, trace
-from studio_runs import PENDULUM_TOM, ROAD_TOM, info
+from studio_runs import PENDULUM_TOM, ROAD_TOM, info, trains_elsewhere
 
 from app.data import buffer, buffer_map, cache, columns, why
 from app.data.buffer import WINDOW, Rows, poses, windows
@@ -179,6 +179,19 @@ def test_the_browser_gets_each_array_of_the_buffer(rows: Rows, store: Path) -> N
     last = max(one["step"] for one in given["sources"])
     assert given["planes"][0]["key"] == f"contrast@{last}"
     assert cache.array("0" * 32) is None
+
+
+def test_a_training_may_replace_its_newest_fit_before_the_browser_asks_for_it(own: Path) -> None:
+    run = own / PENDULUM_TOM
+    trains_elsewhere(run)
+    given = map_of(in_buffer(run=PENDULUM_TOM))
+    newest = given["sources"][-1]
+    (run / layout.snapshot(newest["step"])).unlink()
+    (run / layout.policy(newest["step"])).unlink(missing_ok=True)
+    urls = [newest["url"], newest["distance"], *(one["url"] for one in given["planes"][0]["axes"])]
+    for url in urls:
+        codes = np.frombuffer(present(cache.array(url.rpartition("/")[2])), np.uint16)
+        assert len(codes) >= newest["count"]
 
 
 def test_map_and_file_have_one_policy_distance_that_of_the_fits_own_policy(store: Path) -> None:
