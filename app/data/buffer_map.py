@@ -3,14 +3,16 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Self
 
 import numpy as np
+from cachetools import LRUCache
 from numpy.typing import NDArray
 
 from app.data import buffer, columns, weighings
 from app.data.buffer import Rows
-from app.data.cache import cached, offer
+from app.data.cache import LOCK, cached, offer
 from app.data.columns import AGE, DISTANCE, ERROR, ERROR_ROWS, RANK, WEIGHT, Column
 from app.data.readers import profiles, weighed
 from app.data.selection import Mask, Selection, between, inside
@@ -35,6 +37,8 @@ WEIGHINGS = 3
 JUDGED = 50_000
 """maximum number of rows from which the share that a plane explains is computed"""
 NEAREST = 10
+_SEEN: LRUCache[tuple[Path, str], planes.Plane] = LRUCache(1000)
+"""planes by run and key: an outline stays when a training has replaced the fit of its plane"""
 
 
 @dataclass(frozen=True)
@@ -164,9 +168,14 @@ def _placed(run: RunReader, key: str, source: Source | None) -> Placed | None:
         return Placed.of(key, (x, y), np.stack(pair, 1))
     if kind in (POLICY, MODEL):
         return _of_network(run, kind, key)
-    if source is None:
+    if source is not None:
+        found = _plane(run, kind, source)
+        with LOCK:
+            _SEEN[run.path, key] = found
+    with LOCK:
+        plane = _SEEN.get((run.path, key))
+    if plane is None:
         return None
-    plane = _plane(run, kind, source)
     return Placed.of(key, plane.names, planes.of_rows(plane, buffer.recorded(run).rows))
 
 

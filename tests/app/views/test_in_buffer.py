@@ -192,6 +192,9 @@ def test_a_training_may_replace_its_newest_fit_before_the_browser_asks_for_it(ow
     for url in urls:
         codes = np.frombuffer(present(cache.array(url.rpartition("/")[2])), np.uint16)
         assert len(codes) >= newest["count"]
+    outline = f"{given['planes'][0]['key']} 0,-99;99,-99;99,99;0,99"
+    earlier = given["sources"][0]
+    assert 0 < len(selected(own, outline=outline, fit=earlier["step"])) < earlier["count"]
 
 
 def test_map_and_file_have_one_policy_distance_that_of_the_fits_own_policy(store: Path) -> None:
