@@ -8,15 +8,13 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import rerun as rr
 
 from tom import plugins
-from tom.envs import ROAD
 from tom.errors import UserError
 from tom.record import layout
 from tom.record.decode import numbers, profiles_of
@@ -72,7 +70,7 @@ class Follower:
         after: int = -1,
         offsets: Sequence[int] = (0, 0),
     ) -> None:
-        """Begin with the files of steps after `after`, and with rows at these `offsets`.
+        """Begin with the evaluations of steps after `after`, and with rows at these `offsets`.
 
         The offsets are bytes of the metrics and of the profiles.
         """
@@ -81,12 +79,11 @@ class Follower:
         self._metrics = Tail(run.path / layout.METRICS, offsets[0])
         self._profiles = Tail(run.path / layout.PROFILES, offsets[1])
         self._after = after
-        self._shown: set[str] = set()
 
     def follow(self) -> Iterator[None]:
         """Send new data piece by piece, because a long run would be gigabytes at once.
 
-        If a file of the run cannot be shown, its name is logged, and the others follow.
+        If an evaluation cannot be shown, its file is logged, and the others follow.
         """
         rows = self._metrics.rows()
         for first in range(0, len(rows), ROWS):
@@ -98,28 +95,15 @@ class Follower:
         for step, bins in zip(profiles.env_step.tolist(), profiles.bins, strict=True):
             self._view.profile(step, bins)
             yield
-        for name, step, draw in self._files():
-            if step > self._after and name not in self._shown:
-                self._shown.add(name)
+        for step in self.run.evaluation_steps():
+            if step > self._after:
+                self._after = step
                 try:
-                    draw()
+                    self._view.evaluation(step)
                 except (UserError, LookupError, TypeError, ValueError, OverflowError) as error:
+                    name = layout.episodes(step)
                     _log.warning("%s of %s is left out of Rerun: %s", name, self.run.run_id, error)
                 yield
-
-    def _files(self) -> Iterator[tuple[str, int, Callable[[], None]]]:
-        """The files of the run that are drawn whole, with their steps and what draws each."""
-        run, view = self.run, self._view
-        if run.env == ROAD:
-            if (run.path / layout.segment(0)).exists():
-                yield layout.BUFFER, 0, view.places
-            for step in run.snapshot_steps():
-                yield layout.snapshot(step), step, partial(view.weights, step)
-            for name in run.field_names():
-                for step in run.field_steps(name):
-                    yield layout.field(name, step), step, partial(view.picture, step, name)
-        for step in run.evaluation_steps():
-            yield layout.episodes(step), step, partial(view.evaluation, step)
 
     def pieces(self) -> Iterator[bytes]:
         """New data as bytes, none of them empty, if there is no sink."""

@@ -16,7 +16,6 @@ from tom.config import EvaluationConfig
 from tom.envs import ROAD, scene
 from tom.events import Episode
 from tom.learners import LEARNERS, learner_colour
-from tom.metrics import describe
 from tom.record.reader import RunReader
 from tom.record.rerun import drawing
 from tom.record.rerun.drawing import MAP
@@ -30,7 +29,6 @@ GHOST = f"{SCENE}/ghost"  # the robot as a model predicts it
 CAR, GHOST_CAR = f"{MAP}/car", f"{MAP}/ghost"
 REWARD = "reward"
 OBSERVED = "observation"
-FIT = "fit"  # the metrics of a single fit, as text
 
 CURVES = {
     "Return": ("eval/return", "eval/return_max"),
@@ -38,7 +36,6 @@ CURVES = {
     "Weights": ("weights/ess", "weights/zeros", "weights/age_correlation"),
     "Policy: losses": ("critic/loss", "actor/loss"),
 }
-OF_ROAD = ("Return", "Policy: losses")
 
 EPISODE_FLUSH_S = 10.0
 
@@ -70,7 +67,6 @@ class RerunView:
         """env steps between two evaluations"""
         self._replay_s = 0.0
         self._floor_drawn = False
-        self._places = 0
         self._scalars: dict[str, list[tuple[int, float]]] = {}
         # Viewers store one layout per application id, so runs with other layouts get another id.
         application = f"tom-studio {run.env} {run.learner}{' episode' if layout else ''}"
@@ -78,16 +74,16 @@ class RerunView:
         # Chunks of seconds instead of a fifth of one, because many small ones slow a viewer.
         batches = rr.ChunkBatcherConfig(flush_tick=1.0)
         name = name or run.run_id
-        self._stream = rr.RecordingStream(application, recording_id=name, batcher_config=batches)
-        self._stream.set_log_tick_enabled(False)
-        self._stream.set_log_time_enabled(False)
+        self.stream = rr.RecordingStream(application, recording_id=name, batcher_config=batches)
+        self.stream.set_log_tick_enabled(False)
+        self.stream.set_log_time_enabled(False)
         self._bytes: rr.BinaryStream | None = None
         if sink is None:
-            self._bytes = self._stream.binary_stream()
-            self._stream.send_blueprint(layout)
+            self._bytes = self.stream.binary_stream()
+            self.stream.send_blueprint(layout)
         else:
-            self._stream.set_sinks(sink, default_blueprint=layout)
-        self._stream.send_recording_name(name)
+            self.stream.set_sinks(sink, default_blueprint=layout)
+        self.stream.send_recording_name(name)
         # Otherwise the viewer chooses a colour, which may be another learner's.
         self._colour = [*bytes.fromhex(learner_colour(run.learner).removeprefix("#"))]
 
@@ -100,9 +96,6 @@ class RerunView:
         for path, value in values.items():
             if np.isfinite(value):
                 self._scalars.setdefault(path, []).append((env_step, value))
-        if self._env == ROAD and any(path.startswith("model/") for path in values):
-            self._stream.set_time("env_step", sequence=env_step)
-            self._stream.log(FIT, rr.TextDocument(_table(values), media_type=rr.MediaType.MARKDOWN))
 
     def flush(self) -> None:
         """Send the waiting metrics; sent singly each would cost a kilobyte and slow the viewer."""
@@ -110,33 +103,13 @@ class RerunView:
             steps, values = zip(*points, strict=True)
             times = rr.TimeColumn("env_step", sequence=np.array(steps))
             columns = rr.Scalars.columns(scalars=np.array(values))
-            self._stream.send_columns(path, [times], columns)
+            self.stream.send_columns(path, [times], columns)
         self._scalars = {}
 
     def profile(self, env_step: int, bins: NDArray[np.float64]) -> None:
         """The weight profile as bars; an empty bin has height 0."""
-        self._stream.set_time("env_step", sequence=env_step)
-        self._stream.log(PROFILE, rr.BarChart(np.nan_to_num(bins), color=self._colour))
-
-    def places(self) -> None:
-        """Draw the positions of road-and-rocks' transitions on its map, once."""
-        places = np.asarray(self._run.buffer()[0].obs)
-        self._places = len(places)
-        drawing.places(self._stream, places)
-
-    def weights(self, env_step: int) -> None:
-        """Colour road-and-rocks' transitions on its map by the weights of a fit."""
-        if not self._places:  # a resumed run does not collect again
-            self.places()
-        weight = self._run.snapshot(env_step)["weight"].to_numpy()
-        if self._places == len(weight):
-            self._stream.set_time("env_step", sequence=env_step)
-            drawing.weights(self._stream, weight)
-
-    def picture(self, env_step: int, name: str) -> None:
-        """Draw the map, trajectories or model displacements of road-and-rocks."""
-        self._stream.set_time("env_step", sequence=env_step)
-        drawing.picture(self._stream, name, self._run.field(name, env_step))
+        self.stream.set_time("env_step", sequence=env_step)
+        self.stream.log(PROFILE, rr.BarChart(np.nan_to_num(bins), color=self._colour))
 
     def evaluation(self, env_step: int) -> None:
         """Draw the first episode: its robot, or its observations if there is no robot."""
@@ -156,7 +129,7 @@ class RerunView:
         """
         steps = np.arange(episode.length)
         times = self._times(env_step, episode.length, steps, dt)
-        self._stream.send_columns(REWARD, times, rr.Scalars.columns(scalars=episode.reward))
+        self.stream.send_columns(REWARD, times, rr.Scalars.columns(scalars=episode.reward))
         if self._env != ROAD and (episode.qpos is None or self._model is None):
             self._observe(env_step, episode, dt)
             return
@@ -166,15 +139,15 @@ class RerunView:
             return
         steps = np.arange(episode.length + 1)
         times = self._times(env_step, episode.length, steps, dt)
-        drawing.car(self._stream, CAR, times, episode.obs, drawing.LEARNT)
+        drawing.car(self.stream, CAR, times, episode.obs, drawing.LEARNT)
         if ghost is not None:
-            drawing.car(self._stream, GHOST_CAR, times, ghost, drawing.MODELLED)
+            drawing.car(self.stream, GHOST_CAR, times, ghost, drawing.MODELLED)
 
     def close(self, timeout_s: float) -> None:
         """Flush the remaining data. Raises an error if the sink takes too long."""
         self.flush()
-        self._stream.flush(timeout_sec=timeout_s)
-        self._stream.disconnect()
+        self.stream.flush(timeout_sec=timeout_s)
+        self.stream.disconnect()
 
     def _replay(self, env_step: int, length: int, robots: Mapping[str, NDArray]) -> None:
         """Draw robots by path, moving through joint positions (length + 1, nq)."""
@@ -187,13 +160,13 @@ class RerunView:
         for path, qpos in robots.items():
             drawn = scene.geometry(model.mj, qpos[frames])
             if drawn.floor is not None and not self._floor_drawn:
-                drawing.floor(self._stream, drawn.floor)
+                drawing.floor(self.stream, drawn.floor)
                 self._floor_drawn = True
-            drawing.robot(self._stream, path, times, drawn, ghost=path == GHOST)
+            drawing.robot(self.stream, path, times, drawn, ghost=path == GHOST)
             if path == ROBOT:
                 place = drawn.root * np.array([1, 1, 0], np.float32)
                 moves = rr.Transform3D.columns(translation=place)
-                self._stream.send_columns(TRACKED, times, moves)
+                self.stream.send_columns(TRACKED, times, moves)
 
     @cached_property
     def _model(self) -> scene.Model | None:
@@ -205,7 +178,7 @@ class RerunView:
         times = self._times(env_step, episode.length, frames, dt)
         for i, values in enumerate(np.asarray(episode.obs, np.float64).T):
             columns = rr.Scalars.columns(scalars=values)
-            self._stream.send_columns(f"{OBSERVED}/{i + 1}", times, columns)
+            self.stream.send_columns(f"{OBSERVED}/{i + 1}", times, columns)
 
     def _times(self, env_step: int, length: int, frames: NDArray, dt: float) -> drawing.Times:
         """Times of the frames; on `env_step` they end at the evaluation's step."""
@@ -215,13 +188,6 @@ class RerunView:
             rr.TimeColumn("env_step", sequence=steps),
             rr.TimeColumn("replay", duration=self._replay_s + frames * dt),
         )
-
-
-def _table(values: Mapping[str, float]) -> str:
-    groups = ("weights/", "model/", "planner/", "discriminator/", "dual/")
-    rows = [(path, value) for path, value in values.items() if path.startswith(groups)]
-    lines = [f"| {path} | {value:.4g} | {describe(path)} |" for path, value in sorted(rows)]
-    return "\n".join(["| metric | value | meaning |", "|---|---|---|", *lines])
 
 
 def episode_recording(
@@ -239,7 +205,7 @@ def episode_recording(
         layout=episode_blueprint(run.env, episode.qpos is not None, episode.obs.shape[1]),
     )
     if run.env == ROAD and (at := run.field_steps("map")):
-        view.picture(at[0], "map")
+        drawing.road_map(view.stream, run.field("map", at[0]))
     view.episode(step, episode, dt, ghost)
     recorded = view.read()
     view.close(EPISODE_FLUSH_S)
@@ -247,31 +213,20 @@ def episode_recording(
 
 
 def blueprint(env: str, learner: str, *, drawn: bool = True) -> rrb.Blueprint:
-    """Robot or maps and the weight profile on the left, curves on the right.
+    """Robot and weight profile on the left, curves on the right.
 
-    If nothing can be `drawn`, curves of the observations replace the robot.
+    If nothing can be `drawn`, curves of the observations replace the robot; road-and-rocks, whose
+    map the studio draws, has neither.
     """
-    online = env != ROAD
-    if not online:
-        arrows = [f"/{MAP}/{name}" for name in ("true", "modelled")]
-        ground = [f"/{MAP}/{name}" for name in ("edge", "road")]
-        picture = rrb.Horizontal(
-            _map("Weights: red counts most", ["$origin/**", *(f"- {path}" for path in arrows)]),
-            _map("Steps: true green, modelled red", [f"+ {p}" for p in (*ground, *arrows)]),
-        )
-    elif drawn:
-        picture = _robot("First evaluation episode")
-    else:
+    picture = _robot("First evaluation episode")
+    if not drawn:
         picture = _plot("Observations of the first evaluation episode", (f"{OBSERVED}/**",))
     profile = rrb.BarChartView(origin=PROFILE, name="Mean weight, oldest to newest transitions")
     own = LEARNERS[learner].charts if learner in LEARNERS else {}
-    shown = {**CURVES, **own} if online else {name: CURVES[name] for name in OF_ROAD}
-    plots = [_plot(name, paths) for name, paths in shown.items()]
-    # Offline there is a single fit: its metrics are a table, not curves.
-    text = [] if online else [rrb.TextDocumentView(origin=FIT, name="Fit")]
-    left = rrb.Vertical(picture, profile, row_shares=[3, 2])
+    plots = [_plot(name, paths) for name, paths in {**CURVES, **own}.items()]
+    left = profile if env == ROAD else rrb.Vertical(picture, profile, row_shares=[3, 2])
     return _without_panels(
-        rrb.Horizontal(left, rrb.Vertical(*plots, *text), column_shares=[3, 2]),
+        rrb.Horizontal(left, rrb.Vertical(*plots), column_shares=[3, 2]),
         rrb.TimePanel(state="collapsed", timeline="env_step", fps=100.0, play_state="following"),
     )
 
@@ -282,7 +237,7 @@ def episode_blueprint(env: str, drawn: bool = True, observed: int = 0) -> rrb.Bl
     If nothing can be `drawn`, curves of `observed` dimensions replace the robot.
     """
     name = "The episode; red: what the model imagines"
-    picture = _map(name, ["$origin/**"]) if env == ROAD else _robot(name)
+    picture = _map(name) if env == ROAD else _robot(name)
     if env != ROAD and not drawn:
         picture = _plot("Observations", tuple(f"{OBSERVED}/{i + 1}" for i in range(observed)))
     return _without_panels(
@@ -311,10 +266,9 @@ def _robot(name: str) -> rrb.Spatial3DView:
     )
 
 
-def _map(name: str, contents: list[str]) -> rrb.Spatial2DView:
+def _map(name: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         origin=f"/{MAP}",
-        contents=contents,
         name=name,
         visual_bounds=rrb.VisualBounds2D(x_range=[-0.05, 1.05], y_range=[-1.05, 0.05]),
     )
