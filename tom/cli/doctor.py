@@ -148,7 +148,7 @@ def _disk(store: Path) -> Finding:
     text = f"{free:.0f} GB free for {store}/"
     if free >= LOW_GB:
         return Finding("ok", text)
-    fix = "`tom runs size`, `tom runs prune` and `rm -r STORE/.trash` make room"
+    fix = "`tom runs prune` and `rm -r STORE/.trash` make room, `du -sh STORE/*` says where"
     return Finding("bad" if free < FULL_GB else "note", text, fix)
 
 

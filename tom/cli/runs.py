@@ -309,19 +309,6 @@ def index(args: argparse.Namespace) -> int:
     return put_out(args, path, [path])
 
 
-@verb("size", "what runs [all] take on the disk, in MB", ANY)
-def size(args: argparse.Namespace) -> int:
-    parts = {run.run_id: manage.sizes(run) for run in _chosen(Store(args.store), args.run_ids)}
-    largest = sorted(parts.items(), key=lambda item: -sum(item[1].values()))
-    rows = [
-        (name, *(readable.number(count / 1e6) for count in [*of.values(), sum(of.values())]))
-        for name, of in largest
-    ]
-    total = readable.size(sum(sum(of.values()) for of in parts.values()))
-    title, columns = f"{total} in {len(rows)} runs", ("run", *manage.PARTS, "all")
-    return put_out(args, parts, lambda: show(title, columns, rows))
-
-
 @verb(
     "prune",
     "delete old checkpoints of runs [all finished ones]",

@@ -1,4 +1,4 @@
-"""Runs of a store as their user manages them: labels, trash, disk space, old checkpoints.
+"""Runs of a store as their user manages them: labels, trash, old checkpoints.
 
 Nothing here changes a training's files; only old checkpoints are ever deleted. All may raise
 OSError.
@@ -14,13 +14,10 @@ from pathlib import Path
 
 from tom.errors import UserError
 from tom.record import checkpoint, layout, lock
-from tom.record.files import files_in, read_json, replace_json, size_of
+from tom.record.files import read_json, replace_json, size_of
 from tom.record.reader import RunReader
 from tom.record.status import Labels, labels_of
 from tom.record.store import Store
-
-PARTS = ("buffer", "checkpoint", "episodes", "fields", "policies", "recording", "weights", "rest")
-"""what the disk space of a run is divided into"""
 
 NAME_LENGTH, TAG_LENGTH, NOTE_LENGTH, MOST_TAGS = 80, 30, 4000, 20
 """most characters of labels, and the most tags"""
@@ -122,17 +119,6 @@ def restore(store: Store, *run_ids: str) -> list[Path]:
     for trashed_place, place in moves:
         trashed_place.rename(place)
     return [place for _, place in moves]
-
-
-def sizes(reader: RunReader) -> dict[str, int]:
-    """Bytes of each of PARTS."""
-    by_part: dict[str, int] = dict.fromkeys(PARTS, 0)
-    recordings = set(reader.rrd_files())
-    for path, stat in files_in(reader.path):
-        top = path.relative_to(reader.path).parts[0]
-        part = "recording" if path in recordings else top if top in PARTS else "rest"
-        by_part[part] += stat.st_size
-    return by_part
 
 
 def prune(reader: RunReader, keep: int, *, dry_run: bool = False) -> int:

@@ -6,7 +6,7 @@ from heapq import heapreplace
 from statistics import median
 
 from tom.record import RunReader
-from tom.record.manage import sizes
+from tom.record.files import size_of
 from tom.training.plan import Trial
 
 SAMPLES = 5  # maximum number of finished runs per environment and learner
@@ -44,7 +44,7 @@ def cost(trial: Trial, runs: Sequence[RunReader], done: int = 0) -> Cost | None:
         trained = known[known[:, 0] >= run.given.get("exploration_steps", 0)]
         if len(trained) >= 2 and trained[-1, 0] > trained[0, 0]:
             passed, spent = trained[-1] - trained[0]
-            costs.append((spent / passed, sum(sizes(run).values()) / run.status.env_step))
+            costs.append((spent / passed, size_of(run.path) / run.status.env_step))
     if not costs:
         return None
     seconds, written = (median(values) for values in zip(*costs, strict=True))

@@ -94,7 +94,7 @@ def test_verify_and_repair(store: Path, capsys):
     told(capsys, store, "verify")
 
 
-def test_export_size_prune(store: Path, capsys, tmp_path: Path):
+def test_export_prune(store: Path, capsys, tmp_path: Path):
     (path,) = ask(capsys, store, "export", "one", "--out", str(tmp_path))
     assert pd.read_csv(path)["env_step"].to_list()[-1] == 250
     (path,) = ask(capsys, store, "export", "one", "--small", "--out", str(tmp_path))
@@ -106,8 +106,6 @@ def test_export_size_prune(store: Path, capsys, tmp_path: Path):
     assert "checkpoint" in told(capsys, tmp_path, "show", "one")
     again = ["train", "--resume", "one", "--store", str(tmp_path)]
     refused(again, capsys, "small copy, which cannot go on")
-    assert ask(capsys, store, "size", "one")["one"]["checkpoint"] > 0
-    told(capsys, store, "size")
     freed = ask(capsys, store, "prune", "one", "--keep", "0", "--dry-run")["one"]
     assert freed == ask(capsys, store, "prune", "one", "--keep", "0")["one"]
     assert "freed 0.0 MB" in told(capsys, store, "prune", "one", "--keep", "0")
@@ -131,6 +129,6 @@ def test_bad_input(store: Path, capsys, words: list[str], named: str):
 
 
 def test_a_store_that_is_not_there_is_not_an_empty_one(tmp_path: Path, capsys):
-    for words in ("list", "verify", "export", "size", "prune", "trash"):
+    for words in ("list", "verify", "export", "prune", "trash"):
         where = ["--store", str(tmp_path / "rnus")]
         refused(["runs", words, *where], capsys, "rnus/: name another with --store")

@@ -84,7 +84,7 @@ def test_a_run_that_is_written_is_not_touched(store: Store):
             repair(store.run("run"))
 
 
-def test_sizes_and_pruning_checkpoints(record, tmp_path: Path):
+def test_pruning_checkpoints(record, tmp_path: Path):
     run = record("run", events()[:200])
     for step in (100, 200, 300):
         one = checkpoint.save(tmp_path / str(step), step, {"step": step})
@@ -94,10 +94,6 @@ def test_sizes_and_pruning_checkpoints(record, tmp_path: Path):
         return checkpoint.folders(run.path / checkpoint.FOLDER)
 
     each = [sum(p.stat().st_size for p in path.iterdir()) for path in folders()]
-    assert manage.sizes(run)["checkpoint"] == sum(each)
-    assert sum(manage.sizes(run).values()) == sum(
-        p.stat().st_size for p in run.path.rglob("*") if p.is_file()
-    )
     assert manage.prune(run, keep=1, dry_run=True) == sum(each[1:])
     assert len(folders()) == 3
     truncate(folders()[0] / checkpoint.STATE)
