@@ -55,7 +55,7 @@ def first_page() -> None:
         if why := session.read_only_reason():
             st.caption(why)
         elif not jobs.runs(FIRST) and st.button("Start it", type="primary", icon=PLAY):
-            words = ["train", "--env", "inverted-pendulum", "--learner", "tom", "mle"]
+            words = ["sweep", "--env", "inverted-pendulum", "--learner", "tom", "mle"]
             jobs.start(FIRST, [*words, "--seeds", "0", "--steps", "2500", "--store", store])
             st.rerun()
         jobs.show(FIRST)

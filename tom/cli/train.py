@@ -1,7 +1,6 @@
-"""`tom train`: one training, or one for each learner and seed, each in its own run folder."""
+"""`tom train`: one training, in its own run folder."""
 
 import argparse
-import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -15,7 +14,6 @@ from tom.cli.parser import (
     named,
     overrides,
 )
-from tom.cli.sweep import drive
 from tom.data.card import sentence
 from tom.envs import ANY, ENV_NAMES
 from tom.errors import (
@@ -30,14 +28,12 @@ from tom.harmless import terminal
 from tom.learners import LEARNERS
 from tom.machine.memory import REFUSING, out_of_memory, ran_out
 from tom.machine.processes import on_stopping
-from tom.readable import score, whole
+from tom.readable import score
 from tom.record import RunReader, Store, checkpoint, lock, manage
 from tom.record.files import size_of
 from tom.record.task_record import card_of
 from tom.record.versions import command
-from tom.sweep.driver import Driver, FolderBackend
-from tom.sweep.engine import LocalEngine
-from tom.training.plan import checked, is_done, steps_beyond, trials
+from tom.training.plan import is_done, steps_beyond
 from tom.training.presets import resolve
 from tom.training.resume import resumable_config, resume, unfinished
 from tom.training.run import AnyConfig, RecordingOptions, Stop, train
@@ -49,22 +45,15 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "train",
         usage="tom train --env ENV --learner LEARNER [options]",
-        description="Train one learner in one environment, or several learners and seeds at once. "
-        "The settings below are those of --env (default hopper); road-and-rocks has its own: "
+        description="Train one learner in one environment; `tom sweep` trains many. The settings "
+        "below are those of --env (default hopper); road-and-rocks has its own: "
         "tom train --env road-and-rocks --help.",
     )
     begins = not named(arguments, "--resume")
     parser.add_argument(
         "--env", required=begins, metavar="ENV", help=f"{', '.join(ENV_NAMES)}, {ANY}"
     )
-    parser.add_argument(
-        "--learner", nargs="+", required=begins, metavar="LEARNER",
-        help=f"one or more of {', '.join(LEARNERS)}",
-    )  # fmt: skip
-    parser.add_argument(
-        "--seeds", nargs="+", type=whole(0), metavar="N",
-        help="a training for each of these seeds, one a core",
-    )  # fmt: skip
+    parser.add_argument("--learner", required=begins, metavar="LEARNER", help=", ".join(LEARNERS))
     parser.add_argument(
         "--resume",
         metavar="RUN|auto",
@@ -83,9 +72,7 @@ def run(args: argparse.Namespace) -> int:
         return resume_run(args, args.resume, _new_steps(args, settings))
     if not (args.env and args.learner):
         raise UserError("--resume auto needs the --env and --learner of the run")
-    if len(args.learner) > 1 or args.seeds:
-        return _train_many(args, settings)
-    return begin(resolve(args.env, args.learner[0], args.preset, settings), args)
+    return begin(resolve(args.env, args.learner, args.preset, settings), args)
 
 
 def begin(config: AnyConfig, args: argparse.Namespace) -> int:
@@ -118,21 +105,6 @@ def begin(config: AnyConfig, args: argparse.Namespace) -> int:
             place = manage.into_trash(store, run.path)
         print(f"{run.run_id}: began anew; what was there is in {place}", file=sys.stderr)
     return record(config, args)
-
-
-def _train_many(args: argparse.Namespace, settings: dict[str, Any]) -> int:
-    if args.seeds and "seed" in settings:
-        raise UserError("--seed and --seeds: give one of them")
-    if args.run_id:
-        raise UserError("--run-id is for one training alone: leave it out")
-    seeds = args.seeds or [settings.pop("seed", 0)]
-    plan = {"env": args.env, "learner": args.learner, "seeds": seeds, "preset": args.preset}
-    planned = trials(checked({**plan, "settings": settings}))
-    store = Store(args.store)
-    store.ensure_writable()
-    engine = LocalEngine(len(os.sched_getaffinity(0)))
-    accepted = args.accept_versions
-    return drive(args, Driver(FolderBackend(store), planned, engine, accept_versions=accepted))
 
 
 def record(config: AnyConfig, args: argparse.Namespace) -> int:
@@ -193,16 +165,14 @@ def _new_steps(args: argparse.Namespace, settings: dict[str, Any]) -> str | None
 
     Raises UserError for other options that differ from what the run was made with.
     """
-    for option, value in (("--seeds", args.seeds), ("--run-id", args.run_id)):
-        if value is not None:
-            raise UserError(f"--resume {args.resume} is about that run alone: leave out {option}")
+    if args.run_id is not None:
+        raise UserError(f"--resume {args.resume} is about that run alone: leave out --run-id")
     recorded = Store(args.store).run(args.resume)
-    learner = " ".join(args.learner) if args.learner else None
     rule = settings.get("model", {}).pop("termination", None)  # named only to be imported
     own_rule = recorded.given.get("model", {}).get("termination")
     for option, value, own in (
         ("--env", args.env, recorded.env),
-        ("--learner", learner, recorded.learner),
+        ("--learner", args.learner, recorded.learner),
         ("--preset", args.preset, recorded.preset),
         ("--termination", rule, own_rule),
     ):
