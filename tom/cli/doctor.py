@@ -23,7 +23,6 @@ from tom.errors import reason
 from tom.machine import memory
 from tom.readable import size
 from tom.record import Store
-from tom.record.rerun import viewer
 
 PYTHON = (3, 11)
 LOW_GB, FULL_GB = 10.0, 1.0
@@ -41,7 +40,7 @@ class Finding(NamedTuple):
 def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "doctor",
-        description="Check versions, cores, memory, GPU, viewer, browser, disk "
+        description="Check versions, cores, memory, GPU, browser, disk "
         "and store, with the fix beside each finding. Exit code 1 where something is bad.",
     )
     add_store(parser)
@@ -120,14 +119,6 @@ def _gpu(_: Path) -> Finding:
     return Finding("note", "none: trainings run on the CPU, one core each")
 
 
-def _viewer(_: Path) -> Finding:
-    binary, version = viewer.binary(), metadata.version("rerun-sdk")
-    if os.access(binary, os.X_OK):
-        return Finding("ok", f"Rerun's {version}")
-    fix = f"pip install --force-reinstall rerun-sdk=={version}"
-    return Finding("bad", f"{binary} cannot be run", fix)
-
-
 def _chromium(_: Path) -> Finding:
     path = shutil.which("chromium") or shutil.which("chromium-browser")
     if path:
@@ -177,7 +168,6 @@ CHECKS = {
     "packages": _packages,
     "machine": _machine,
     "gpu": _gpu,
-    "viewer": _viewer,
     "chromium": _chromium,
     "disk": _disk,
     "store": _store,

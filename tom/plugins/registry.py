@@ -66,8 +66,6 @@ class Registry:
             raise self._error(f"'{group}' is the name of our own settings")
         if colour is not None and not COLOUR.fullmatch(colour):
             raise self._error(f"colour '{colour}' is not written #rrggbb")
-        if not callable(make):
-            raise self._error(f"make of the learner '{name}' is no function")
         if settings is not None:
             self._check_settings(name, settings)
 
@@ -137,10 +135,6 @@ class Registry:
 
     def _check_settings(self, name: str, settings: type[Config]) -> None:
         """Raises UserError unless the settings have defaults: other runs' options list them too."""
-        if not (isinstance(settings, type) and issubclass(settings, Config)):
-            raise self._error(
-                f"the settings of the learner '{name}' must be a subclass of tom.config.Config"
-            )
         try:
             settings()
         except ValidationError as error:

@@ -19,7 +19,7 @@ from typing import Any
 import ray
 from ray.exceptions import RayError
 
-from tom.errors import GoneError, UserError
+from tom.errors import GoneError, UserError, reason
 from tom.machine import processes
 
 CONNECT_S, GONE_S = 2.0, 20.0  # Ray takes 60 s, and then ends the process with a message of its own
@@ -83,7 +83,7 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
             if address:
                 hint = "is its token RAY_AUTH_TOKEN, and is this machine one of its nodes?"
             where = f"join the Ray cluster at {address}" if address else "start Ray"
-            raise UserError(f"cannot {where} ({_one_line(error)}): {hint}") from error
+            raise UserError(f"cannot {where} ({reason(error)}): {hint}") from error
         self._answered = time.monotonic()
 
     @property
@@ -134,7 +134,7 @@ class RayProcess:
             try:
                 self._code, output = ray.get(self._end)
             except RayError as error:
-                self._code, output = -SIGKILL, f"no answer: {_one_line(error)}\n".encode()
+                self._code, output = -SIGKILL, f"no answer: {reason(error)}\n".encode()
             with self._log.open("ab") as log:
                 log.write(output)
             ray.kill(self._actor)
@@ -162,8 +162,3 @@ def _without_stderr() -> Iterator[None]:
     finally:
         os.dup2(kept, 2)
         os.close(kept)
-
-
-def _one_line(error: BaseException) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return " ".join(lines[:1] + lines[1:][-1:])[:400] or type(error).__name__
