@@ -122,9 +122,7 @@ _MAKERS: LRUCache[str, Callable[[], NDArray]] = LRUCache(OFFERED)
 _OFFERING = Lock()
 
 
-def offer(
-    key: tuple[object, ...], make: Callable[[], NDArray], made: NDArray | None = None
-) -> str:
+def offer(key: tuple[object, ...], make: Callable[[], NDArray], made: NDArray | None = None) -> str:
     """The address of the array of `key`, which holds its version; `make` should hold no array.
 
     `made` is that array if a training may soon replace what `make` reads.
