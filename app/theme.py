@@ -36,7 +36,7 @@ LINES = 3.05
 """the least contrast of a line with either background: 3:1, with room for rounding"""
 
 # Buttons and sliders: no learner's colour, so that colour always means data.
-ACCENT: dict[Mode, str] = {"light": "#4a5a8a", "dark": "#6379bd"}
+ACCENT: dict[Mode, str] = {"light": "#4a5a8a", "dark": "#5d73b8"}
 LINK: dict[Mode, str] = {"light": ACCENT["light"], "dark": "#8fa3e0"}
 
 Scale = list[tuple[float, str]]

@@ -8,6 +8,7 @@ import pytest
 
 from app.figures.curves import looks_of
 from app.theme import (
+    ACCENT,
     BACKGROUND,
     COLUMNS,
     LEARNER_COLOURS,
@@ -149,3 +150,4 @@ def test_an_unknown_learner_is_neutral_and_keeps_its_name() -> None:
 def test_words_and_links_can_be_read(mode: Mode) -> None:
     behind = (BACKGROUND[mode], SURFACE[mode])
     assert min(contrast(words[mode], page) for words in (TEXT, LINK) for page in behind) >= 4.5
+    assert contrast("#ffffff", ACCENT[mode]) >= 4.5  # on buttons
