@@ -29,7 +29,16 @@ function taken({ target, ctrlKey, metaKey, altKey }) {
   return ctrlKey || metaKey || altKey || target.closest?.(own) || document.querySelector("dialog[open]");
 }
 
+// Streamlit draws an open popover at the end of the page, up to fifty stops of Tab from its button.
+function intoPopover({ key, shiftKey, target }) {
+  if (key !== "Tab" || shiftKey || !target.closest?.('[data-testid="stPopover"]')) return false;
+  const first = document.querySelector('[data-testid="stPopoverBody"] :is(button, input, textarea, a, [tabindex="0"])');
+  first?.focus();
+  return Boolean(first);
+}
+
 function onKey(event) {
+  if (intoPopover(event)) return event.preventDefault();
   const act = ALL_KEYS[event.key];
   if (act && !taken(event) && act() !== false) event.preventDefault();
 }

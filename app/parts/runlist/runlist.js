@@ -35,6 +35,10 @@ function eye(root, word, name, hidden) {
   button.title = `${hidden ? "Show" : "Hide"} ${name} (Alt: show it alone)`;
   button.setAttribute("aria-label", `${hidden ? "Show" : "Hide"} ${name}`);
   button.onclick = ({ altKey }) => root.tell(altKey ? "alone" : "toggled", [word]);
+  // A browser makes no click of Enter with Alt.
+  button.onkeydown = ({ altKey, key }) => {
+    if (altKey && key === "Enter") root.tell("alone", [word]);
+  };
   return button;
 }
 
@@ -108,19 +112,19 @@ function section(root, { title, groups, more }) {
   return box;
 }
 
+// What a button is called, whether what it opens or shuts is open or not.
+const called = (button) =>
+  button.className + (button.ariaLabel || button.title || button.textContent).replace(/^(Show|Hide) |: (show|fold) its runs$/g, "");
+
 function draw(root) {
-  const focused = root.contains(document.activeElement) ? document.activeElement.ariaLabel ?? document.activeElement.title : "";
+  const focused = root.contains(document.activeElement) ? called(document.activeElement) : "";
   const all = make("button", "all", "Show all");
   all.type = "button";
   all.hidden = !root.sections.some(({ groups }) => groups.some((g) => g.hidden || g.runs.some((r) => r.hidden)));
   all.onclick = () => root.tell("everything", []);
   root.replaceChildren(...root.sections.map((given) => section(root, given)), all);
   if (!focused) return;
-  // The eye under the focus has another label once it is shut.
-  const plain = (words) => words.replace(/^(Show|Hide) /, "");
-  [...root.querySelectorAll("button")]
-    .find((b) => plain(b.ariaLabel ?? b.title) === plain(focused))
-    ?.focus({ preventScroll: true });
+  [...root.querySelectorAll("button")].find((b) => called(b) === focused)?.focus({ preventScroll: true });
 }
 
 export default function ({ data, parentElement, setTriggerValue }) {
