@@ -179,7 +179,7 @@ def draw() -> Scope:
         if not runs:
             st.info("No run passes these filters.", icon=":material/filter_alt_off:")
         _list(scope)
-        _frame(everything)
+        frame(everything)
         widgets.when_changed(lambda: store_state(store), LOOK_S)
     return scope
 
@@ -299,8 +299,8 @@ def _list(scope: Scope) -> None:
     )  # fmt: skip
 
 
-def _frame(runs: Sequence[RunReader]) -> None:
-    """The buttons below the list, the shortcuts, and notices of trainings that have ended."""
+def frame(runs: Sequence[RunReader]) -> None:
+    """The buttons below the list, the shortcuts, the look, notices of trainings that have ended."""
     called, before = names(runs), st.session_state.get(ALIVE, ())
     ended = [
         {

@@ -20,6 +20,7 @@ from tom.analysis.settings import changed, telling_presets
 from tom.envs import ENV_NAMES, OTHERS
 from tom.errors import UserError
 from tom.learners import SUBJECT
+from tom.record import checkpoint
 from tom.record.reader import SMALL_COPY, RunReader
 from tom.record.store import Store
 from tom.training.presets import PRESETS, default_preset, learners, resolve
@@ -41,6 +42,7 @@ FIRST = "First comparison"
 def first_page() -> None:
     """How to begin: a first comparison, a training of one's own, the examples."""
     from app.data import weighings  # here: it imports torch
+    from app.parts import scope
 
     store = session.links().store
     st.header("Which data does a learned model pay attention to?", anchor=False)
@@ -62,12 +64,15 @@ def first_page() -> None:
     with right, st.container(border=True):
         st.subheader("Or in a terminal", anchor=False)
         option = f" --store {shlex.quote(store)}"
-        st.code(f"tom demo --headless{option}", language="bash")
-        st.code(f"tom train --env hopper --learner tom{option}", language="bash")
+        st.code(f"tom demo --headless{option}", language="bash", wrap_lines=True)
+        words = f"tom train --env hopper --learner tom{option}"
+        st.code(words, language="bash", wrap_lines=True)
         if EXAMPLES.is_dir() and EXAMPLES.resolve() != Path(store).resolve():
             st.write("Look at finished runs of five robots first:")
-            st.code(f"tom studio --store {shlex.quote(str(EXAMPLES))}", language="bash")
+            words = f"tom studio --store {shlex.quote(str(EXAMPLES))}"
+            st.code(words, language="bash", wrap_lines=True)
     st.caption(f"Store: {text.markdown(store)}")
+    scope.frame(())
     widgets.show_store_problems(readers.listing(store).problems)
     widgets.when_changed(lambda: bool(readers.listing(store).runs or weighings.datasets(store)), 2)
 
@@ -216,6 +221,9 @@ def _card(run: RunReader, preset: str) -> None:
     for words in (settings_line(run), reason, *status.warnings):
         if words:
             st.caption(text.markdown(words))
+    if status.shown == "dead" and checkpoint.newest(run.path / checkpoint.FOLDER) is not None:
+        st.caption("To go on from its last checkpoint:")
+        st.code(resume(run), language="bash", wrap_lines=True)
     if log := log_of(run):
         with st.expander("Last lines of its output", key=f"log {run.run_id}", on_change="rerun"):
             st.code(log, language=None)
