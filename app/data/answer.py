@@ -258,7 +258,10 @@ def _error(one: Side, other: Side) -> str:
     first, second = typical.get(one.name), typical.get(other.name)
     if first is None or second is None or not (len(first.error) and len(second.error)):
         return ""
-    numbers = f"{short(first.typical)} against {short(second.typical)}"
+    numbers = (
+        f"{short(first.typical)} against {short(second.typical)} standard deviations of a step's "
+        "change"
+    )
     if not result.ranked:
         return f"One step ahead, where its policy goes, its model errs by {numbers}."
     p = statistics.exchangeable([first.error], [second.error])

@@ -243,7 +243,7 @@ def _scenes(
         (
             title,
             tuple(rows.first + at for at in side),
-            tuple(round(float(rows.weight[at]), 4) for at in side),
+            tuple(float(f"{rows.weight[at]:.6g}") for at in side),
         )
         for title, side in zip(titles, (left, right), strict=True)
     )

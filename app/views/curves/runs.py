@@ -39,7 +39,7 @@ def draw(scope: Scope) -> None:
     table.insert(0, "shown", np.array([run in scope.shown for run in runs], bool))
     apart = {path: of for path, of in differences(runs).items() if path not in ALREADY}
     for path, of in reversed([*apart.items()][:MOST_SETTINGS]):
-        table.insert(2, path, of)
+        table.insert(4, path, of)  # after the name and the tags
     edited = st.data_editor(
         table, hide_index=True, column_config=COLUMNS, alt="The runs",
         key=f"runs {sorted(scope.hidden)}", disabled=[name for name in table if name != "shown"],

@@ -78,8 +78,7 @@ def _side(scope: Scope) -> None:
     evaluated = {run.run_id: run.evaluation_steps() for run in chosen}
     steps = sorted({step for of_run in evaluated.values() for step in of_run})
     if not steps:
-        for run in chosen:
-            widgets.left_out(run, EVALUATIONS)
+        widgets.left_out_of_all(chosen, EVALUATIONS)
         return
     st.markdown("**Replays** of the evaluations at or before one step")
     step = timeline.chosen(steps)
