@@ -18,7 +18,7 @@ from tom.record.rerun.sink import RerunSink
 from tom.record.task_record import changed
 from tom.record.versions import ACCEPT, decides, versions
 from tom.record.writer import RunWriter
-from tom.training.plan import steps_beyond
+from tom.training.plan import is_done, steps_beyond
 from tom.training.presets import config_type
 from tom.training.run import (
     AnyConfig,
@@ -106,12 +106,9 @@ def unfinished(store: Store, config: AnyConfig, *, run_id: str | None = None) ->
         beyond = steps_beyond(config, reader)
         if beyond is None or run_id not in (None, reader.run_id) or lock.held(reader.path):
             continue
-        if beyond > 0 and run_id is None:
+        if (beyond > 0 and run_id is None) or is_done(config, reader):
             continue
-        if beyond == 0 and reader.status.state == "finished":
-            continue  # although its last checkpoint may be of an earlier step, if the disk was full
-        saved = checkpoint.load(reader.path / checkpoint.FOLDER)
-        if saved is not None and not _complete(reader, saved, config):
+        if checkpoint.load(reader.path / checkpoint.FOLDER) is not None:
             return reader.run_id
     return None
 
@@ -200,24 +197,15 @@ def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
         raise StartAgainError(
             f"run '{reader.run_id}' has no checkpoint that is whole: start it again"
         )
-    if _complete(reader, saved, config):
+    same_end = saved.state.get("config", {}).get("steps") == config.steps
+    at_end = saved.env_step == config.total_steps and same_end
+    # A run that ended at its last checkpoint, but had not finished, lacks its exam and policy.
+    ended = reader.status.state == "finished" or not at_end
+    if saved.env_step >= config.total_steps and ended:
         raise UserError(
             f"run '{reader.run_id}' is complete at step {saved.env_step}: give it more with --steps"
         )
     return saved
-
-
-def _complete(reader: RunReader, saved: Checkpoint, config: AnyConfig) -> bool:
-    """Whether nothing of the run is left to do.
-
-    A run that ended after its last checkpoint, but before it had finished, lacks its last rows,
-    exam and policy.
-    """
-    if saved.env_step < config.total_steps:
-        return False
-    same_end = saved.state.get("config", {}).get("steps") == config.steps
-    at_end = saved.env_step == config.total_steps and same_end
-    return not at_end or reader.status.state == "finished"
 
 
 def _restore(

@@ -72,7 +72,7 @@ def test_the_words_of_a_trial_make_the_same_training(tmp_path: Path):
     parser = Parser()
     add_parser(parser.add_subparsers(), words)
     args = parser.parse_args(words)
-    config = resolve(args.env, args.learner[0], args.preset, overrides(args))
+    config = resolve(args.env, args.learner, args.preset, overrides(args))
     assert config == trial.config
 
 
