@@ -209,12 +209,15 @@ class Worker:
 def local_store(url: str, run_id: str) -> Path:
     """A local run store for `run_id` until `url` has all of it: the same one for every attempt.
 
-    It is in the user's own temporary folder. Raises UserError if that is another user's.
+    It is in the user's own temporary folder. Raises UserError if others may write there.
     """
     root = Path(tempfile.gettempdir(), f"tom-runs-{os.getuid()}")
-    root.mkdir(mode=0o700, exist_ok=True)
-    if root.stat().st_uid != os.getuid():
-        raise UserError(f"{root} is another user's: choose another TMPDIR")
+    with suppress(FileExistsError):
+        root.mkdir(mode=0o700)
+    status = root.lstat()
+    own = status.st_uid == os.getuid() and not status.st_mode & 0o022
+    if not own or not root.is_dir() or root.is_symlink():
+        raise UserError(f"others may write into {root}: remove it, or choose another TMPDIR")
     return root / f"{hashlib.sha256(url.encode()).hexdigest()[:12]}-{run_id}"
 
 
