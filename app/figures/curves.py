@@ -117,7 +117,8 @@ def _look(kind: Kind, title: str, offline: bool) -> Look:
     if kind.variant:
         grey = shades(mixed(colour, NEUTRAL, 0.5))
         colour = grey[blake2b(kind.variant.encode(), digest_size=1).digest()[0] * len(grey) // 256]
-    core = "" if kind.preset in ("", main, "smoke") else mixed(colour, "#ffffff", 0.6)
+    pale = {"": 0.0, main: 0.0, "smoke": 0.3}.get(kind.preset, 0.6)
+    core = mixed(colour, "#ffffff", pale) if pale else ""
     return Look(title, colour, "solid", learner_symbol(kind.learner), core)
 
 

@@ -185,10 +185,11 @@ def draw() -> Scope:
 
 
 def store_state(store: str) -> object:
-    """What changes when a run begins, goes on, has fitted, was evaluated or has ended."""
-    alive = [run for run in readers.listing(store).runs if run.status.alive]
+    """What changes when a run begins, goes on, has fitted, was evaluated, ends or is labelled."""
+    runs = readers.listing(store).runs
+    alive = [run for run in runs if run.status.alive]
     now = [(run.run_id, run.version("profiles"), run.evaluation_steps()) for run in alive]
-    return modified(Path(store)), now
+    return modified(Path(store)), now, [run.labels for run in runs]
 
 
 def _of_task(everything: Sequence[RunReader], asked: str) -> list[RunReader]:

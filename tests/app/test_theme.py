@@ -116,7 +116,7 @@ def test_a_group_s_look_is_the_same_whatever_is_shown_beside_it() -> None:
     kinds = [
         Kind(learner, preset, variant)
         for learner in ("tom", "mle", "pmac")
-        for preset in ("paper", "mended")
+        for preset in ("paper", "mended", "smoke")
         for variant in settings
     ]
     looks = looks_of(("hopper", kind) for kind in kinds)

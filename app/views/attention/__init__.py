@@ -37,9 +37,10 @@ ONE, LEARNERS_ON_IT = "One learner's weights", "Every learner on one buffer"
 EVEN = 0.9999
 """effective sample size (share) from which weights count as uniform"""
 HEIGHT = 270
+NOISE = "exam/footprint_noise"
 EXAMS = {
     "footprint": "exam/footprint",
-    "its noise": "exam/footprint_noise",
+    "its noise": NOISE,
     "error, one step": "exam/error",
     "error, five steps": "exam/rollout_error",
 }
@@ -132,6 +133,8 @@ def _numbers(run: RunReader, profiles: Profiles) -> None:
 
     frame = readers.metrics(run)
     exams = frame.drop_duplicates("env_step", keep="last").set_index("env_step").reindex(fits)
+    if NOISE in exams:  # a footprint below its noise says nothing
+        exams["exam/footprint"] = exams["exam/footprint"].where(informative(exams[NOISE]))
     timeline.numbers(
         fits,
         [

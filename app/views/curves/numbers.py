@@ -100,7 +100,10 @@ def _remarks(
     words = [f"{text.markdown(few.replace('seed', scope.unit.removesuffix('s')))}."]
     if measure.repeated(grouped):
         words.append("A seed that was run twice counts twice.")
+    ends = sorted((curve.step[-1], curve.run_id) for group in every for curve in group.curves)
     words.append(f"Scores are those up to step {until:,.0f}, which every run reaches.")
+    if len(ends) > 1 and ends[0][0] < ends[1][0]:
+        words.append(f"There {text.markdown(ends[0][1])} ends; without it they would go on.")
     if since is not None:
         words.append(f"Heights are those from step {since:,.0f}, which every run has.")
     late = [text.markdown(scope.looks[g.kind].title) for g in every if g not in grouped]

@@ -16,8 +16,9 @@ from app.data import readers
 from app.parts import scope
 from app.parts.scope import ALIKE, LINES, Scope, matching
 from tom.analysis.settings import USUAL
-from tom.record import layout
+from tom.record import layout, manage
 from tom.record.reader import RunReader
+from tom.record.store import Store
 
 pytestmark = pytest.mark.usefixtures("studio")
 PENDULUM, SECOND, MLE = "inverted-pendulum", "pendulum-tom-1", "pendulum-mle-0"
@@ -186,8 +187,11 @@ def test_every_page_is_drawn_again_when_a_run_goes_on_and_has_fitted(store: Path
     before = scope.store_state(str(tmp_path))
     assert before != ended
     assert scope.store_state(str(tmp_path)) == before
+    manage.label(Store(tmp_path), PENDULUM_TOM, name="ours")
+    labelled = scope.store_state(str(tmp_path))
+    assert labelled != before
     path = run / layout.PROFILES
     last = json.loads(path.read_text().splitlines()[-1])
     with path.open("a") as file:
         file.write(json.dumps(last | {"env_step": last["env_step"] + 1}) + "\n")
-    assert scope.store_state(str(tmp_path)) != before
+    assert scope.store_state(str(tmp_path)) != labelled
