@@ -148,13 +148,13 @@ def test_a_chart_follows_its_page_whatever_its_groups_are_called(
     page = visit.page
     page.goto(visit.links.opened("curves?task=inverted-pendulum"))
     chart = drawn(page)
-    assert seen_lines(chart) == 4  # one of the three is hollow: an edge and its inside
+    assert seen_lines(chart) == 6  # each of the three is an edge and its inside
     group_by(page, "learner")
     until(page, lambda: "TOM (n = 2)" in named(page), "not grouped")
     until(page, lambda: seen_lines(chart) == 3, "not two lines and a band")
     group_by(page, USUAL)
     until(page, lambda: "TOM (n = 2)" not in named(page), "still grouped")
-    until(page, lambda: seen_lines(chart) == 4, "old lines have stayed")
+    until(page, lambda: seen_lines(chart) == 6, "old lines have stayed")
 
 
 def group_by(page: "Page", what: str) -> None:

@@ -180,7 +180,7 @@ def test_hostile_words_in_an_address__change_nothing_and_read_nothing_outside(
     page: str, more: dict[str, str], own: Path, tmp_path: Path
 ) -> None:
     shutil.copytree(own / PENDULUM_TOM, tmp_path / "outside")
-    kept = draw(page, **more).session_state["address: keeping"].keys() - {"part"}
+    kept = draw(page, **more).session_state["address: read"] - {"part"}
     assert {"run", "task", "find"} <= kept
     for value in ("../outside", "/etc/passwd", "\x00", HOSTILE):
         app = draw(page, **dict.fromkeys([*kept, "frame"], value), **more)
