@@ -22,13 +22,13 @@ RUNS = Path(__file__).parents[3] / "runs"
 
 
 def largest_group(learner: str, preset: str) -> list[Path]:
-    """The gallery's runs of Hopper whose model and starts are set alike, of most such runs."""
-    alike: dict[str, list[Path]] = {}
+    """The gallery's runs of Hopper, fully weighted, whose models are alike, of most such runs."""
+    alike: dict[int, list[Path]] = {}
     for path in sorted(RUNS.glob(f"hopper-{learner}-s*")):
         config = json.loads((path / "config.json").read_text())["config"]
-        if config["preset"] == preset:
-            shares = [config[part].get("uniform_share", 0) for part in ("model", "rollout")]
-            alike.setdefault(f"{shares} {config['model']['hidden']}", []).append(path)
+        shares = [config[part].get("uniform_share", 0) for part in ("model", "rollout")]
+        if config["preset"] == preset and not any(shares):
+            alike.setdefault(config["model"]["hidden"], []).append(path)
     return max(alike.values(), key=len)
 
 
