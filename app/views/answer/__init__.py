@@ -33,7 +33,7 @@ SIGNS = {"yes": ":material/check_circle:", "no": ":material/cancel:",
          "unclear": ":material/help:", "unknown": ":material/hourglass_empty:"}  # fmt: skip
 CARDS = (
     ("Where does it look?", "attention", "share of the weight on the newest fifth, %", 20.0),
-    ("Is that where the policy goes?", "attention", "footprint: 1 is no nearer, 0 the policy", 1.0),
+    ("Is that where the policy goes?", "attention", "distance left, %: 0 is the policy", 100.0),
     ("Does it help?", "curves", "return", None),
 )
 """the three cards: question, page behind, what is drawn, and the level without weights"""
@@ -174,7 +174,8 @@ def _measured(
                 measured[0].append(replace(returns, step=profiles.env_step, value=share))
             if not side.uniform:
                 told = exams.at(exams.telling & np.isfinite(exams.footprint))
-                measured[1].append(replace(returns, step=told.step, value=told.footprint))
+                left = 100 * told.footprint
+                measured[1].append(replace(returns, step=told.step, value=left))
     return [curves.groups(one) for one in measured]
 
 
