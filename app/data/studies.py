@@ -30,6 +30,9 @@ QUESTIONS = {
     "tabular": "Are the estimated weights the exact ones of small MDPs?",
 }
 """the question of every study of `tom reproduce`, in the order of listing"""
+FACTORS = "factors"
+"""the table of returns with weights in the model, in the starts, in both or in none"""
+IN_WHICH = "Do whole trainings return more by TOM's weights in the model, or in the starts?"
 
 
 @dataclass(frozen=True)
@@ -54,13 +57,18 @@ class Study:
         return self.name if self.name in QUESTIONS else verb
 
     @property
+    def factors(self) -> bool:
+        """Whether it tells weights in the model from weights in the starts."""
+        return any(table.stem == FACTORS for table in self.tables)
+
+    @property
     def question(self) -> str:
-        return QUESTIONS.get(self.verb, "")
+        return IN_WHICH if self.factors else QUESTIONS.get(self.verb, "")
 
     @property
     def asked(self) -> str:
         """What studies of one question have in common; other studies stand alone."""
-        return self.verb if self.question else self.name
+        return f"{self.verb}-apart" if self.factors else self.verb if self.question else self.name
 
     @property
     def measured(self) -> str:
@@ -88,7 +96,8 @@ def listing(*places: Path) -> list[Study]:
     for folder in (folder for place in places for folder in _files(place, Path.is_dir)):
         first.setdefault(folder.name, folder)
     order = {name: i for i, name in enumerate(QUESTIONS)}
-    names = sorted(first, key=lambda name: (order.get(name, len(order)), name))
+    names = sorted(first, reverse=True)  # of later steps first
+    names.sort(key=lambda name: order.get(name, len(order)))
     studies = [_read(first[name]) for name in names if NAME.fullmatch(name)]
     return [study for study in studies if study.figures or study.tables or study.report]
 

@@ -13,13 +13,15 @@ from statistics import median
 from typing import NamedTuple
 
 from app.data import called, studies
-from app.data.studies import Study
+from app.data.studies import FACTORS, Study
 from app.theme import learner_colour
+from tom.analysis.scores import HEIGHT
 from tom.analysis.statistics import Interval
 from tom.learners import LEARNERS, SUBJECT
 from tom.readable import percent
 from tom.studies.frozen import MENDED, PRINTED, UNIFORM, WAYS
 from tom.studies.moments import sign_test, telling
+from tom.studies.returns_tables import MEASURES
 from tom.studies.study import Row
 
 BY_LABEL = {entry.label: name for name, entry in LEARNERS.items()}
@@ -82,7 +84,8 @@ def tables_of(study: Study) -> Tables:
 def verdict(study: Study) -> Verdict | None:
     """The verdict on a study's question; None without a rule for it, or without its tables."""
     try:
-        return RULES[study.verb](tables_of(study))
+        rule = _factors if study.factors else RULES[study.verb]
+        return rule(tables_of(study))
     except (LookupError, ValueError, StopIteration):  # or tables of another version
         return None
 
@@ -206,6 +209,28 @@ def _returns(tables: Tables) -> Verdict:
     ]  # fmt: skip
     axis = "a random run beats one of MLE"
     return Verdict(word_of(sides), sentence, against, axis, 0.5, points)
+
+
+def _factors(tables: Tables) -> Verdict:
+    """By the mean height of the curves, the p corrected for all tests of the table."""
+    tested = [row for row in tables[FACTORS] if isfinite(row["p"])]
+    rows = [row for row in tested if row["by"] == MEASURES[HEIGHT]]
+    found = [
+        f"{row['effect of']} {row['effect']:+.0f} ({row['low']:+.0f} to {row['high']:+.0f}, "
+        f"p {row['p']:.2g})"
+        for row in rows
+    ]
+    sentence = f"Mean return over a training: {', '.join(found)}."
+    few = next((f"; {row['remark']}" for row in rows if isinstance(row["remark"], str)), "")
+    p = ", ".join(f"{row['p of all']:.2g}" for row in rows)
+    against = f"Corrected for all {len(tested)} tests of the table, p is {p}. One task{few}."
+    colour = learner_colour(SUBJECT)
+    points = [
+        Point(row["effect of"], "", colour, "circle", row["effect"], row["low"], row["high"])
+        for row in rows
+    ]
+    sides = [_side(row["p of all"], row["effect"] > 0) for row in rows]
+    return Verdict(word_of(sides), sentence, against, "return more", 0, points)
 
 
 def _focus(tables: Tables) -> Verdict:

@@ -84,6 +84,19 @@ def test_returns_are_judged_by_the_corrected_p(tmp_path: Path, wins: float, p: f
     assert of("returns", tmp_path).word == word
 
 
+@pytest.mark.parametrize(("p", "word"), [(0.01, "In part"), (0.2, "No difference seen")])
+def test_model_and_starts_are_judged_by_the_corrected_p(tmp_path: Path, p: float, word: str):
+    shutil.copytree(GALLERY / "returns-apart-40000", tmp_path / "returns-apart-40000")
+    table = read("returns-apart-40000", "factors")
+    starts = (table["effect of"] == "weighted starts") & (table["by"] == "area under the curve")
+    table.loc[starts, ["effect", "p of all"]] = 123.4, p
+    table.to_csv(tmp_path / "returns-apart-40000" / "factors.csv", index=False)
+    found = of("returns-apart-40000", tmp_path)
+    assert found.word == word
+    assert 123.4 in [point.value for point in found.points]
+    assert "+123" in found.sentence
+
+
 def test_no_trial_s_share_is_beyond_chance():
     found = of("improvement")
     assert found.word == "No difference seen"

@@ -247,6 +247,7 @@ def test_a_run_is_labelled_put_into_the_trash_and_brought_back(
     move.wait_for(state="detached")
     assert manage.trashed(store) == ["pendulum-tom-1"]
     press(page.locator("summary", has_text="1 in the trash"))
+    page.evaluate(CALM)
     choose(page, "Runs to bring back", "pendulum-tom-1")
     bring_back = page.get_by_role("button", name="Bring back", include_hidden=True)
     until(page, bring_back.is_enabled, "the choice was not taken")
