@@ -67,7 +67,7 @@ def _train(args: argparse.Namespace) -> int:
     planned = [one for plan in PLANS for one in trials(checked({**plan, "seeds": [args.seed]}))]
     engine = LocalEngine(len(os.sched_getaffinity(0)))
     driver = Driver(FolderBackend(store), planned, engine)
-    code = drive(args, driver, plain=True)  # the studio prints its address here
+    code = drive(args, driver)
     if any(job.state == "stopped" for job in driver.jobs):
         raise KeyboardInterrupt
     columns = ("environment", "learner", "steps", "last return", "best return", "run")

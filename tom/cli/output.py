@@ -105,11 +105,10 @@ class Display(ABC):
 
     line_every_s = 20.0
 
-    def __init__(self, stream: TextIO, *, plain: bool = False) -> None:
-        """`plain`: lines on a terminal as well, where other processes write too."""
+    def __init__(self, stream: TextIO) -> None:
         self.console = StoppableConsole(file=stream)
-        redrawn = self.console.is_terminal and not plain
-        self.live = Live(console=self.console, auto_refresh=False) if redrawn else None
+        terminal = self.console.is_terminal
+        self.live = Live(console=self.console, auto_refresh=False) if terminal else None
         self._shown = monotonic()
 
     @abstractmethod

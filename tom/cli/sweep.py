@@ -149,11 +149,10 @@ def _planned(args: argparse.Namespace) -> list[Trial]:
 # A sweep that runs
 
 
-def drive(args: argparse.Namespace, driver: Driver, *, plain: bool = False) -> int:
+def drive(args: argparse.Namespace, driver: Driver) -> int:
     """Run the sweep to its end with a table of its progress; returns the exit code."""
     stream = sys.stderr if args.json else sys.stdout
-    display = SweepDisplay(driver, stream, plain=plain)
-    with on_stopping(signal.default_int_handler), display:
+    with on_stopping(signal.default_int_handler), SweepDisplay(driver, stream) as display:
         try:
             while not driver.poll():
                 display.update()
@@ -194,8 +193,8 @@ class SweepDisplay(Display):
 
     line_every_s = 30.0
 
-    def __init__(self, driver: Driver, stream: TextIO, *, plain: bool = False) -> None:
-        super().__init__(stream, plain=plain)
+    def __init__(self, driver: Driver, stream: TextIO) -> None:
+        super().__init__(stream)
         self._driver = driver
         self._states: dict[str, str] = {}
         self._shown = -inf  # the first update is shown
