@@ -5,7 +5,8 @@ import secrets
 import shlex
 import socket
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from importlib.util import find_spec
 from math import ceil
@@ -24,6 +25,9 @@ Process = Union[processes.Process, "RayProcess"]
 """of one training, on any machine; its exit code is below zero where it was killed"""
 
 ANSWER_S = 5.0  # a cluster's head answers within this
+POLL_S = 0.1
+GRACE_S = 20.0  # a training stops within this time after a request
+
 
 DEFAULT_HOURS = 24
 MARGIN = 1.5  # factor on the projected hours
@@ -107,6 +111,30 @@ def _reach(address: str) -> None:
         socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
     except (OSError, OverflowError) as error:
         raise UserError(f"--address {address}: no Ray cluster answers there ({error})") from None
+
+
+def train_all(commands: Mapping[str, Sequence[str]], workers: int | None = None) -> dict[str, int]:
+    """Run `tom train` with the arguments of every name once; the exit codes by name.
+
+    `workers` run at a time (default: one per core). On Ctrl-C or an error all running trainings are
+    asked to stop, so that they end as `stopped` with whole folders; then the error is raised again.
+    """
+    workers = workers or len(os.sched_getaffinity(0))
+    waiting, codes = list(commands.items()), dict[str, int]()
+    running: dict[str, processes.Process] = {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < workers:
+                name, arguments = waiting.pop(0)
+                running[name] = processes.start_module(["tom", "train", *arguments], None)
+            for name, process in list(running.items()):
+                if (code := process.poll()) is not None:
+                    codes[name] = code
+                    del running[name]
+            time.sleep(POLL_S)
+    finally:
+        processes.stop(list(running.values()), GRACE_S)
+    return codes
 
 
 def script(count: int, store: Path, arguments: Sequence[str], hours: float | None) -> str:

@@ -1,6 +1,8 @@
 """A sweep's driver without and with real trainings; what is slow or violent is in test_faults."""
 
+import _thread
 import json
+import threading
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -9,7 +11,7 @@ from typing import Literal
 import pytest
 from commands import code_of
 from common import measured, recorded
-from sweeping import plan
+from sweeping import plan, until
 
 from tom.events import Tick
 from tom.record import Store, checkpoint, layout
@@ -18,7 +20,7 @@ from tom.record.files import replace_json
 from tom.record.status import DEAD_AFTER_S, Status
 from tom.record.writer import RunWriter
 from tom.sweep.driver import Driver, FolderBackend
-from tom.sweep.engine import LocalEngine
+from tom.sweep.engine import LocalEngine, train_all
 from tom.sweep.projection import cost
 from tom.training.plan import Trial, checked, trials
 
@@ -226,3 +228,37 @@ def test_a_run_that_another_machine_trains_takes_no_core_of_this_one(tmp_path: P
         assert driver.jobs[1].state == "running"
     finally:
         driver.stop()
+
+
+# Many trainings without a driver
+
+QUICK = ("--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun")
+
+
+def words(name: str, store: Path, *more: str) -> tuple[str, ...]:
+    return (*QUICK, "--store", str(store), "--run-id", name, *more)
+
+
+@pytest.mark.slow
+def test_every_training_is_run_and_its_exit_code_reported(tmp_path: Path):
+    good = words("good", tmp_path, "--learner", "mle", "--steps", "60")
+    bad = words("bad", tmp_path, "--learner", "mlee")
+    assert train_all({"good": good, "bad": bad}, workers=2) == {"good": 0, "bad": 2}
+    assert [run.run_id for run in Store(tmp_path).runs()] == ["good"]
+
+
+@pytest.mark.fault
+def test_interrupt_while_several_train__stops_all_with_a_checkpoint(tmp_path: Path):
+    """The caller's Ctrl-C: the running training ends as `stopped`, with a checkpoint."""
+    store = Store(tmp_path)
+
+    def interrupt() -> None:
+        until(lambda: any(run.status.env_step for run in store.runs()))
+        _thread.interrupt_main()
+
+    threading.Thread(target=interrupt).start()
+    with pytest.raises(KeyboardInterrupt):
+        train_all({"long": words("long", tmp_path, "--learner", "mle", "--steps", "100000")})
+    status = store.run("long").status
+    assert status.state == "stopped"
+    assert "--resume long" in status.reason
