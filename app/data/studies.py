@@ -68,7 +68,9 @@ class Study:
     @property
     def asked(self) -> str:
         """What studies of one question have in common; other studies stand alone."""
-        return f"{self.verb}-apart" if self.factors else self.verb if self.question else self.name
+        if self.factors:
+            return f"{self.verb}-apart"
+        return self.verb if self.question else self.name
 
     @property
     def measured(self) -> str:

@@ -13,7 +13,7 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import session, text
 from app.data import readers, trainings
-from app.parts import address, form, jobs, widgets
+from app.parts import address, form, jobs, scope, widgets
 from app.theme import learner_colour, learner_label
 from tom import readable
 from tom.analysis.settings import changed, telling_presets
@@ -42,7 +42,6 @@ FIRST = "First comparison"
 def first_page() -> None:
     """How to begin: a first comparison, a training of one's own, the examples."""
     from app.data import weighings  # here: it imports torch
-    from app.parts import scope
 
     store = session.links().store
     st.header("Which data does a learned model pay attention to?", anchor=False)
@@ -167,8 +166,8 @@ def _begin(commands: Sequence[Sequence[str]]) -> None:
     left, right = st.columns([1, 4], vertical_alignment="center")
     label = f"Start {len(commands)} trainings" if many else "Start"
     if left.button(label, type="primary", icon=PLAY, key="start"):
-        for words in commands:
-            jobs.start(form.shown(words), words)
+        for words in commands:  # the time tells two of the same command apart
+            jobs.start(f"{form.shown(words)}, {time.strftime('%H:%M:%S')}", words)
         st.toast("Started: it appears below in a few seconds.", icon=PLAY)
     right.code(form.shown(commands[0]), language="bash", wrap_lines=True)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()

@@ -10,6 +10,7 @@ from same_records import assert_same_record
 from tom.errors import UserError
 from tom.events import Event, Tick
 from tom.record import Store, checkpoint
+from tom.record.integrity import repair
 from tom.record.rerun.feed import stream
 from tom.record.writer import RunWriter
 from tom.training.resume import resume
@@ -94,6 +95,18 @@ def _fill_under_rerun(disk: Path) -> None:
     watchers = filling_at(130, disk)
     with pytest.raises(OSError, match=r"No space left|disk full"):
         train(config(steps=240), Store(disk / "store"), "a", rerun=True, watchers=watchers)
+
+
+@pytest.mark.quick
+def test_disk_full_while_repairing__what_was_to_be_repaired_stays(small_disk: Path):
+    run = train(config(steps=60), Store(small_disk / "store"), "a", rerun=False)
+    rows = run.path / "metrics.jsonl"
+    damaged = b"torn\n" + rows.read_bytes()
+    rows.write_bytes(damaged)
+    fill(small_disk)
+    with pytest.raises(OSError, match="No space left"):
+        repair(run)
+    assert rows.read_bytes() == damaged
 
 
 @pytest.mark.quick

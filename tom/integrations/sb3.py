@@ -50,8 +50,8 @@ def export_buffer(model: Any, path: str | Path) -> None:
         raise UserError("only flat observations and continuous actions can be weighed")
     if buffer.optimize_memory_usage or not buffer.handle_timeout_termination:
         raise UserError(
-            "the buffer does not tell cut episodes from ended ones: make it with the library's "
-            "usual optimize_memory_usage and handle_timeout_termination"
+            "the buffer does not tell cut episodes from ended ones: leave optimize_memory_usage "
+            "and handle_timeout_termination at their defaults"
         )
     if not buffer.size():
         raise UserError("the replay buffer is empty: train for longer")

@@ -225,8 +225,16 @@ def free_name(folder: Path, name: str) -> str:
     return free
 
 
-def set_aside(run: Path, path: Path) -> Path:
-    """Move a file or folder of the run folder `run` into its `damaged/`; returns the new place."""
+def set_aside(run: Path, path: Path, *, copy: bool = False) -> Path:
+    """Move a file or folder of the run folder `run` into its `damaged/`; returns the new place.
+
+    With `copy` the file stays where it is: it is replaced next, for which the disk may be too full.
+    """
     folder = (run / layout.DAMAGED / path.relative_to(run)).parent
     folder.mkdir(parents=True, exist_ok=True)
-    return path.rename(folder / free_name(folder, path.name))
+    place = folder / free_name(folder, path.name)
+    if copy:
+        shutil.copyfile(path, place)
+    else:
+        path.rename(place)
+    return place

@@ -89,7 +89,7 @@ def repair(reader: RunReader) -> list[str]:
             kept = (b" " * len(line) if parse_json_line(line) is None else line for line in lines)
             text = b"".join(line + b"\n" for line in kept)
             if text != content:
-                place = set_aside(run, run / name)
+                place = set_aside(run, run / name, copy=True)
                 replace(run / name, lambda file, text=text: file.write(text), sync=True)
                 done[name] = f"damaged lines blanked out{_kept(run, place)}"
         for name in damaged:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as hypothesis
 from scipy.stats import mannwhitneyu
 from streamlit.testing.v1 import AppTest
-from studio_pages import PAGE, TIMEOUT_S, array, draw, figures, parts, recorded, trace
+from studio_pages import PAGE, TIMEOUT_S, array, draw, figures, parts, plain, recorded, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 from app.data.tables import default_level
@@ -305,6 +305,16 @@ def test_statistics_are_those_of_the_scores(store: Path) -> None:
     everything = [recorded(store, run_id)[1] for run_id in (*SEEDS, PENDULUM_MLE)]
     best = np.array([max(values) for values in everything])
     assert app.number_input[0].value == default_level(best)
+
+
+def test_the_run_that_ends_first_is_named_where_it_limits_the_others(own: Path) -> None:
+    assert not any("go on" in line.value for line in curves("Statistics").caption)
+    for run_id in SEEDS:
+        (own / run_id / layout.METRICS_TABLE).unlink()
+        with (own / run_id / layout.METRICS).open("a") as file:
+            file.write('{"env_step":500,"eval/return":7.0}\n')
+    (said,) = [line.value for line in curves("Statistics").caption if "go on" in line.value]
+    assert PENDULUM_MLE in plain(said)
 
 
 def test_a_profile_has_the_same_band_beside_any_other_group(

@@ -9,19 +9,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 from streamlit.testing.v1 import AppTest
-from studio_pages import array, captions, draw, figures, numbers_behind, parts, recorded, trace
+from studio_pages import (
+    Show,
+    array,
+    captions,
+    draw,
+    figures,
+    numbers_behind,
+    parts,
+    recorded,
+    trace,
+)
 from studio_runs import PENDULUM_TOM, altered, info, set_status
 
 from app.data import buffer
 from app.data.exams import Exams, ranking
 from app.views.answer.numbers import in_turn, of_like_length, table, verdict
 from app.views.attention import about_weights, of_which_weights
-from tom.readable import short
+from tom.readable import UNKNOWN, short
 from tom.record import checkpoint
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
 PENDULUM, PENDULUM_MLE = "inverted-pendulum", "pendulum-mle-0"
+GALLERY, GALLERY_TOM = Path(__file__).parents[3] / "runs", "hopper-tom-s0-bee6348e"
 
 
 def test_attention_shows_the_exam_of_the_fit_that_is_looked_at(store: Path) -> None:
@@ -34,6 +45,17 @@ def test_attention_shows_the_exam_of_the_fit_that_is_looked_at(store: Path) -> N
         values = {number["label"]: number["values"][at] for number in shown["numbers"]}
         assert values["error, one step"] == short(error)
         assert values["error, five steps"] == short(ahead[step])
+
+
+def test_a_footprint_that_its_noise_hides_is_not_shown(show: Show) -> None:
+    show(GALLERY)
+    (shown,) = parts(draw("attention", run=GALLERY_TOM), "tom_readout")
+    values = {number["label"]: number["values"] for number in shown["numbers"]}
+    noises = dict(zip(*recorded(GALLERY, GALLERY_TOM, "exam/footprint_noise"), strict=True))
+    told = {step: abs(noises[step]) < 1 for step in shown["steps"] if step in noises}
+    assert {*told.values()} == {True, False}
+    for step, footprint in zip(shown["steps"], values["footprint"], strict=True):
+        assert (footprint != UNKNOWN) == told.get(step, False)
 
 
 def test_the_numbers_behind_are_those_of_the_exams(store: Path) -> None:
