@@ -147,7 +147,9 @@ def over_fits(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
     envs, titles = [curve.env for _, curve, _ in parts], [text.plotly(name) for name, *_ in parts]
     kept = " ".join(["over fits", *(curve.run_id for _, curve, _ in parts)])
     apart = {"horizontal_spacing": 0.02, "vertical_spacing": 0.06, "row_heights": [0.7, 0.3]}
-    figure = panels(2, len(parts), height, kept, column_titles=titles, **apart)
+    # Of three columns in a narrow window none is wider than a word.
+    above = [name.replace(" ", "<br>") if len(parts) > 2 else name for name in titles]
+    figure = panels(2, len(parts), height, kept, column_titles=above, **apart)
     every = [profiles.bins.ravel() for *_, profiles in parts if len(profiles.bins)]
     scale = relative_scale(np.concatenate(every or [np.ones(1)]), mode)
     scale["colorbar"] |= {"len": 0.68, "y": 1, "yanchor": "top"}
@@ -167,7 +169,8 @@ def over_fits(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
         returns, thinned = return_line(curve)
         figure.add_trace(returns, 2, column)
         words = thinned or words
-    figure.update_layout(margin={"t": 34 if any(titles) else LAYOUT["margin"]["t"]})
+    lines = max(name.count("<br>") for name in above)
+    figure.update_layout(margin={"t": 34 + 18 * lines if any(above) else LAYOUT["margin"]["t"]})
     figure.update_xaxes(matches="x").update_xaxes(title_text=steps_in_words(envs), row=2)
     figure.update_xaxes(ticks="", showticklabels=False, row=1)
     for row, first in ((1, "y"), (2, f"y{len(parts) + 1}")):

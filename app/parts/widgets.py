@@ -48,9 +48,9 @@ def differs(run: RunReader) -> bool:
 
 def metrics(numbers: Mapping[str, str], helps: Mapping[str, str] = MappingProxyType({})) -> None:
     """Single numbers in a row, and what some of them are, by their labels."""
-    columns = st.columns(len(numbers), gap="small")
-    for column, (label, value) in zip(columns, numbers.items(), strict=True):
-        column.metric(label, value, help=helps.get(label))
+    with st.container(horizontal=True, horizontal_alignment="distribute"):
+        for label, value in numbers.items():
+            st.metric(label, value, help=helps.get(label), width="content")
 
 
 def show_problems(run: RunReader, problems: Sequence[str] | None = None) -> None:

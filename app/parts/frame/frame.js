@@ -43,6 +43,25 @@ function onKey(event) {
   if (act && !taken(event) && act() !== false) event.preventDefault();
 }
 
+// A control that is drawn anew, or has done its work and gone, loses the keyboard: its successor
+// gets it back, else the page.
+const KEYED = '[class*="st-key-"]';
+let focused = null;
+let keyed = "";
+
+function onFocus({ target }) {
+  focused = target.matches?.(":focus-visible") ? target : null;
+  keyed = focused?.closest(KEYED)?.className.match(/st-key-[\w-]+/)[0] ?? "";
+}
+
+function refocus() {
+  if (!focused || focused.isConnected || document.activeElement !== document.body) return;
+  const again = keyed && document.querySelector(`.${keyed} :is(${focused.localName}, input, button)`);
+  const main = document.querySelector('[data-testid="stMain"]');
+  main?.setAttribute("tabindex", "-1");
+  (again || main)?.focus({ preventScroll: true });
+}
+
 function notify(events) {
   if (!("Notification" in window) || Notification.permission !== "granted") return;
   for (const { title, body } of events) new Notification(title, { body, tag: title });
@@ -50,9 +69,14 @@ function notify(events) {
 
 export default function ({ data, parentElement }) {
   const root = parentElement.querySelector(".frame");
-  window.removeEventListener("keydown", window.tomKeys);
-  window.tomKeys = onKey;
-  window.addEventListener("keydown", onKey);
+  window.tomFrame?.abort();
+  const { signal } = (window.tomFrame = new AbortController());
+  window.addEventListener("keydown", onKey, { signal });
+  window.addEventListener("focusin", onFocus, { signal });
+  window.addEventListener("pointerdown", () => (focused = null), { signal });
+  const drawn = new MutationObserver(refocus);
+  drawn.observe(document.body, { childList: true, subtree: true });
+  signal.onabort = () => drawn.disconnect();
   const theme = root.querySelector(".theme");
   theme.hidden = !data.mode;
   const next = data.mode === "dark" ? "Light" : "Dark";

@@ -283,7 +283,7 @@ function telling(root, most) {
     .filter(([, sd]) => Math.abs(sd) >= 0.25);
   found.sort((a, b) => Math.abs(b[1]) - Math.abs(a[1]));
   return found.slice(0, most).map(([name, sd]) => {
-    const what = name === AGE ? `${sd > 0 ? "newer" : "older"} rows` : `${sd > 0 ? "high" : "low"} ${name}`;
+    const what = name === AGE ? `rows stored ${sd > 0 ? "later" : "earlier"}` : `${sd > 0 ? "high" : "low"} ${name}`;
     return `${what} (${sd > 0 ? "+" : "−"}${Math.abs(sd).toFixed(1)} sd)`;
   });
 }

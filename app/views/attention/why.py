@@ -98,8 +98,7 @@ def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None
 
 
 def _pick(rows: Rows) -> None:
-    columns = st.columns([5, 4, 3, 3, 2, 3], vertical_alignment="bottom", gap="small")
-    columns[0].markdown("**Why this weight?** Click a transition on a map, or choose one")
+    st.markdown("**Why this weight?** Click a transition on a map, or choose one")
     weight = rows.weight
     zero, above = np.flatnonzero(weight == 0), np.flatnonzero(weight > 0)
     suggested = {
@@ -108,16 +107,15 @@ def _pick(rows: Rows) -> None:
         "zero": zero[len(zero) // 2] if len(zero) else None,
         "newest": len(rows) - 1,
     }
-    for column, (name, row) in zip(columns[2:], suggested.items(), strict=False):
-        column.button(
-            name, key=f"why {name}", disabled=row is None, width="stretch", on_click=pick,
-            args=(rows.first + int(row or 0),),
+    with st.container(horizontal=True, vertical_alignment="bottom"):
+        chosen = st.number_input(
+            "Number of the transition", rows.first, rows.first + len(rows) - 1, value=None, key=KEY,
+            placeholder="none yet", width=260,
+            help="its row in the run's record, counted from 0: one less than its step",
         )  # fmt: skip
-    chosen = columns[1].number_input(
-        "Number of the transition", rows.first, rows.first + len(rows) - 1, value=None, key=KEY,
-        placeholder="none yet",
-        help="its row in the run's record, counted from 0: one less than its step",
-    )  # fmt: skip
+        for name, row in suggested.items():
+            at = rows.first + int(row or 0)
+            st.button(name, key=f"why {name}", disabled=row is None, on_click=pick, args=(at,))
     address.keep(KEY, [] if chosen is None else [str(chosen)])
 
 

@@ -48,8 +48,9 @@ def _side(scope: Scope) -> None:
     runs = scope.shown
     called = names(runs)
     of_task = [run for run in runs if run.env == runs[0].env]
-    newest = {scope.title(run): run.run_id for run in reversed(of_task)}
-    usual = [newest[title] for title in scope.order if title in newest][:MOST]
+    replayed_last = sorted(reversed(of_task), key=lambda run: bool(run.evaluation_steps()))
+    of_group = {scope.title(run): run.run_id for run in replayed_last}
+    usual = [of_group[title] for title in scope.order if title in of_group][:MOST]
     if len(usual) < 2:
         usual = [run.run_id for run in of_task][:2]
     picked = address.choose_many(
@@ -80,13 +81,13 @@ def _side(scope: Scope) -> None:
     if not steps:
         widgets.left_out_of_all(chosen, EVALUATIONS)
         return
-    st.markdown("**Replays** of the evaluations at or before one step")
     step = timeline.chosen(steps)
     timeline.draw([], steps, step)
-    row = st.columns([5, 1], vertical_alignment="bottom")
     played = st.session_state.setdefault("side played", 0)
-    if row[1].button("Play all", icon=":material/play_arrow:", width="stretch"):
-        played = st.session_state["side played"] = played + 1
+    with st.container(horizontal=True, vertical_alignment="center"):
+        st.markdown("**Replays** of the evaluations at or before one step", width="content")
+        if st.button("Play all", icon=":material/play_arrow:"):
+            played = st.session_state["side played"] = played + 1
     for first in range(0, len(chosen), 2):
         for i, column in enumerate(st.columns(2)[: len(chosen) - first], first):
             run = chosen[i]

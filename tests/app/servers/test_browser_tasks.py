@@ -197,8 +197,11 @@ def test_two_roads_stand_side_by_side(page: "Page") -> None:
 
 def test_a_weight_is_explained(page: "Page", own_store: Path) -> None:
     page.goto(f"/attention?run={PENDULUM_TOM}")
-    press(page.get_by_role("button", name="heaviest", exact=True), "Space")
+    heaviest = page.get_by_role("button", name="heaviest", exact=True)
+    press(heaviest, "Space")
     page.locator('.js-plotly-plot[aria-label*="terms that make"]').wait_for()
+    page.evaluate(CALM)
+    assert heaviest.evaluate("e => e === document.activeElement")
     number = page.get_by_role("spinbutton", name="Number of the transition").input_value()
     run = Store(own_store).run(PENDULUM_TOM)
     fit = run.snapshot_steps()[-1]
@@ -245,6 +248,7 @@ def test_a_run_is_labelled_put_into_the_trash_and_brought_back(
     move = page.get_by_role("button", name="Yes, move it")
     press(move)
     move.wait_for(state="detached")
+    assert page.evaluate("document.activeElement !== document.body")
     assert manage.trashed(store) == ["pendulum-tom-1"]
     press(page.locator("summary", has_text="1 in the trash"))
     page.evaluate(CALM)
