@@ -161,8 +161,8 @@ def _stands_out(seen: Contrast) -> str:
     )
     share = percent(seen.explained, 0)
     return (
-        f"The weight is where {ways}: the plane in which weights differ most explains {share} of "
-        f"the log weights ({fit})."
+        f"It weighs most where {ways}: the plane of (s, a, s') in which weights differ most "
+        f"explains {share} of the variance of the log weight ({fit})."
     )
 
 

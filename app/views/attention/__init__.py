@@ -181,8 +181,8 @@ def _exam(run: RunReader, fit: int) -> None:
     """What the exam of a fit means, or why it has none."""
     metrics = at_fit(readers.metrics(run), fit)
     if metrics:
-        said = ["The exam of this fit: the steps that its policy made next, which were not in its "
-                "buffer.", about_weights(metrics)]  # fmt: skip
+        said = ["This fit's exam is on the steps that its policy took next, which it had not seen.",
+                about_weights(metrics)]  # fmt: skip
         if "exam/error" in metrics:
             ahead = metrics.get("exam/rollout_error")
             five = "" if ahead is None else f", after five steps by {short(ahead)}"
@@ -194,7 +194,7 @@ def _exam(run: RunReader, fit: int) -> None:
         st.caption(text.markdown(" ".join(said)))
     else:
         st.caption(
-            "No exam of this fit: it is over with the next one. Weights that a loop hands in, and "
+            "No exam of this fit: it ends with the next one. Weights that a loop hands in, and "
             "runs of versions before exams, have none."
         )
 
@@ -205,14 +205,14 @@ def of_which_weights(learner: str, settings: Settings) -> str:
     if share == 1:
         return (
             "Its model was fitted with every transition counting the same (model.uniform_share 1), "
-            "and the exam is of that; the weights above choose the rollouts' starts alone."
+            "as in the exam; the weights above only choose where rollouts start."
         )
-    changes = [f"a share of {share:g} of them uniform"] if share else []
+    changes = [f"mixed with a share of {share:g} of uniform ones"] if share else []
     if learner in LEARNERS and LEARNERS[learner].clipped and "model.weight_clip" in settings:
         changes.insert(0, f"clipped at {float(settings['model.weight_clip']):g}")
     if not changes:
         return ""
-    return f"The exam is of the weights that the fit counts: those above, {' and '.join(changes)}."
+    return f"The model was fitted, and is examined, with these weights {' and '.join(changes)}."
 
 
 def about_weights(metrics: Mapping[str, float]) -> str:

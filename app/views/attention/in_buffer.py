@@ -25,6 +25,7 @@ from app.theme import BLUE_TO_ORANGE, NEUTRAL, RISING, faded
 from app.views.attention import why
 from tom.envs import ROAD
 from tom.frames import Run, read_weighing
+from tom.readable import percent
 from tom.record.reader import RunReader, at_or_before
 from tom.reports.weighing_files import notices
 
@@ -136,7 +137,9 @@ def _pick_weights(
     if chosen == OWN:
         kept = at_or_before(fits, fit)
         if kept != fit:
-            st.caption(f"Single weights are kept of {len(fits)} fits; below is step {kept:,}.")
+            st.caption(
+                f"The weights of single rows are kept of {len(fits)} fits; this is step {kept:,}."
+            )
         return sources[str(kept)]
     if weighing := sources[chosen].weighing:
         say_of(weighing, buffer.length(run))
@@ -176,7 +179,7 @@ def _pick_plane(
         if not np.isfinite(share):
             st.caption("This network cannot be read: the plane is where weights differ most.")
             return keys[CONTRAST]
-        told.caption(f"It explains {share:.2f} of the log weights on rows held out.")
+        told.caption(f"It explains {percent(share, 0)} of the variance of the log weight.")
     elif of != source.label:
         row = st.container(horizontal=True, vertical_alignment="center")
         row.caption(f"The plane is that of step {int(of):,}, so that what moves are the weights.")

@@ -110,7 +110,7 @@ def _weighed(weighing: Weighing, rows: int) -> None:
         figure = probe_profiles(weighings.profiles(of), share, 400, keep=weighing.name)
         chart(figure, "probe", "weight profiles of several learners on the same buffer")
     with st.container(border=True):
-        st.markdown("**What the weights come to**: medians over seeds")
+        st.markdown("**The weights in numbers**: medians over seeds")
         shown = {
             name: st.column_config.NumberColumn(width=68, format=number, help=words)
             for name, (_, number, words) in COLUMNS.items()

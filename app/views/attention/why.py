@@ -133,10 +133,10 @@ def _neighbours(run: RunReader, rows: Rows, found: Why, row: int) -> None:
     st.dataframe(table, hide_index=True, height=240, column_config=numbers, alt="Its nearest")
     first = float(near.near.distance[0])
     st.caption(
-        f"Distances in standard deviations over (s, a, s' - s). To its nearest of the policy's "
-        f"{len(found.policy_rows):,} transitions this one has {first:.2f}; half of the buffer's "
-        f"other rows have less than {near.usual:.2f}, half of the policy's own, to the rest of "
-        f"them, less than {near.own:.2f}."
+        f"Distances in standard deviations over (s, a, s' - s). The nearest of the policy's "
+        f"{len(found.policy_rows):,} transitions is {first:.2f} away. The median is "
+        f"{near.usual:.2f} over the buffer's other rows, and {near.own:.2f} from one of the "
+        f"policy's own to the nearest other."
     )
 
 
@@ -147,7 +147,7 @@ def _rollouts(run: RunReader, rows: Rows, row: int) -> None:
     if begun is not None:
         here, usual = begun
         st.caption(
-            f"Of each round's rollouts about {here:,.2f} start in this state; {usual:,.2f} would "
+            f"About {here:,.2f} of each round's rollouts start in this state; {usual:,.2f} would "
             "at weight 1."
             if here > 0
             else "No rollout starts in this state."
@@ -183,9 +183,9 @@ def _offer(run: RunReader, rows: Rows) -> None:
     words = ["weigh", run.argument, "--policy", run.argument, "--step", str(step)]
     words += ["--learner", SUBJECT, "--seeds", "0", "--store", session.links().store]
     st.caption(
-        "Weighed anew with this fit's policy and the run's settings the buffer has terms (Q begins "
-        "afresh there, so weights differ from the run's own). Then choose them in the buffer, "
-        "under Weights of."
+        "Weigh the buffer again with this fit's policy and the run's settings to get its terms, "
+        "then choose them above, under Weights of. Its Q begins afresh, so the weights differ from "
+        "the run's own."
     )
     job = f"Weighing {run.run_id} at {step}"
     if why := session.read_only_reason():
@@ -280,8 +280,8 @@ def _brushed(run: RunReader, brushed: Brushed) -> None:
         page = ghosts(drawn, brushed.ghosts, factor, name, run.learner, session.mode())
         st.iframe(page, height=BRUSH_HEIGHT, alt="Ghosts of two models")
         st.caption(
-            "An evaluation episode, and what two models make of its actions, from the real state "
-            "every 20 steps; at a quarter of real time."
+            "An evaluation episode at a quarter of real time, and its prediction by two models, "
+            "which restart from the real state every 20 steps."
         )
 
 

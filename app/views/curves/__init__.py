@@ -157,7 +157,9 @@ def _figure(
     looks = {scope.kinds[run.run_id]: scope.looks[scope.kinds[run.run_id]] for run in here}
     groups = list(grouped)
     if not grouped:
-        st.caption("It goes to and fro along this axis, so runs are drawn one by one.")
+        st.caption(
+            "Its values go back and forth along this axis, so each run has a line of its own."
+        )
         called = told_apart(here)
         for curve in (curve for curve in curves if len(curve.step)):
             groups.append(alone(curve, called[curve.run_id]))
@@ -222,7 +224,7 @@ def remarks(grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, sco
             grouped
         ),
         "A seed that was run twice counts twice.": unit == "seeds" and measure.repeated(grouped),
-        "The first half of a recording of SAC is random steps, which count here.": any(
+        "The first half of a recording of SAC is random steps, and they count here.": any(
             curve.learner == SAC_ALONE for curve in curves
         ),
         f"Left out, as they ended well before the others: {text.markdown(which)}.": bool(cut),

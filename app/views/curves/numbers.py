@@ -144,7 +144,7 @@ def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) ->
     """Who beats whom."""
     both = list(combinations(range(len(looks)), 2))
     if not both:
-        st.caption("One group alone has nobody to be better than.")
+        st.caption("The probability of improvement needs a second group.")
         return
     ps = [statistics.exchangeable([scores[i]], [scores[j]]) for i, j in both]
     beats = [statistics.probability_of_improvement([scores[i]], [scores[j]]) for i, j in both]

@@ -48,8 +48,8 @@ def _side(scope: Scope) -> None:
     runs = scope.shown
     called = names(runs)
     of_task = [run for run in runs if run.env == runs[0].env]
-    replayed_last = sorted(reversed(of_task), key=lambda run: bool(run.evaluation_steps()))
-    of_group = {scope.title(run): run.run_id for run in replayed_last}
+    with_replays_first = sorted(of_task, key=lambda run: not run.evaluation_steps())
+    of_group = {scope.title(run): run.run_id for run in reversed(with_replays_first)}
     usual = [of_group[title] for title in scope.order if title in of_group][:MOST]
     if len(usual) < 2:
         usual = [run.run_id for run in of_task][:2]
@@ -138,9 +138,9 @@ def _film(scope: Scope) -> None:
     )  # fmt: skip
     st.iframe(film, height=FILM_HEIGHT, alt="Film")
     st.caption(
-        "A robot and a point of the buffer have the mean weight of the hundredth of the buffer "
-        "that they lie in, at every fit. In front: an evaluation of the newest policy kept by "
-        "then, at half speed. Space plays and stops, arrows go a second. The MP4 button needs a "
-        "browser that encodes: on this machine, or by https; `tom studio --cinema` writes one too."
+        "The colour of a robot or point is the mean weight of its hundredth of the buffer at each "
+        "fit. In front: an evaluation of the newest policy kept by then, at half speed. Space "
+        "plays and stops, arrows go a second. The MP4 button needs a browser that encodes: on this "
+        "machine, or by https; `tom studio --cinema` writes one too."
     )
     widgets.left_out(run, "other evaluations")
