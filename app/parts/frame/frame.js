@@ -45,18 +45,21 @@ function onKey(event) {
 
 // A control that is drawn anew, or has done its work and gone, loses the keyboard: its successor
 // gets it back, else the page.
-const KEYED = '[class*="st-key-"]';
 let focused = null;
-let keyed = "";
+let among = "";
 
 function onFocus({ target }) {
   focused = target.matches?.(":focus-visible") ? target : null;
-  keyed = focused?.closest(KEYED)?.className.match(/st-key-[\w-]+/)[0] ?? "";
+  const [key] = focused?.closest('[class*="st-key-"]')?.className.match(/st-key-[\w-]+/) ?? [];
+  among = key ? `.${key} ${focused.localName}` : "";
 }
+
+const nameOf = (control) => control.getAttribute("aria-label") || control.textContent;
 
 function refocus() {
   if (!focused || focused.isConnected || document.activeElement !== document.body) return;
-  const again = keyed && document.querySelector(`.${keyed} :is(${focused.localName}, input, button)`);
+  const alike = among ? [...document.querySelectorAll(among)] : [];
+  const again = alike.find((control) => nameOf(control) === nameOf(focused));
   const main = document.querySelector('[data-testid="stMain"]');
   main?.setAttribute("tabindex", "-1");
   (again || main)?.focus({ preventScroll: true });
