@@ -61,19 +61,18 @@ def summary(outcomes: Sequence[Row]) -> list[Row]:
     interval over recordings.
     """
     rows, outcomes = [], telling(outcomes)
+    envs = dict.fromkeys(one["env"] for one in outcomes)
     for way in dict.fromkeys(one["way"] for one in outcomes):
         of = [one for one in outcomes if one["way"] == way]
         score = over_recordings((one["env"], one["recording"], one["footprint"]) for one in of)
         of_policy = sum(one["ends_policy"] for one in of)
-        by_env: dict[str, list[float]] = {}
-        for one in of:
-            by_env.setdefault(one["env"], []).append(one["footprint"])
+        by_env = {env: [one["footprint"] for one in of if one["env"] == env] for env in envs}
         rows.append(
             {
                 "way": way,
                 **score.columns("distance"),
                 "below uniform": sum(one["footprint"] < 1 for one in of) / len(of),
-                **{env: median(values) for env, values in by_env.items()},
+                **{env: median(values) if values else np.nan for env, values in by_env.items()},
                 "ess": median(one["ess"] for one in of),
                 "ends over policy's": sum(one["ends"] for one in of) / of_policy
                 if of_policy

@@ -133,6 +133,17 @@ def test_a_footprints_summary_by_hand():
     assert any("ratio 1.45" in line for line in footprint.verdict(found))
 
 
+def test_a_way_without_a_moment_in_a_task_has_a_dash_there():
+    shared = dict.fromkeys(("ess", "ends", "ends_policy", "footprint_noise", "footprint"), 0.5)
+    found = [
+        {"way": way, "env": env, "recording": f"of {env}", "step": 1, "seed": 0, **shared}
+        for env, way in (("hopper", "uniform"), ("walker2d", "uniform"), ("walker2d", "pdml"))
+    ]
+    uniform, pdml = footprint.summary(found)
+    assert [*uniform] == [*pdml]  # or the table's columns would not be its titles'
+    assert (np.isnan(pdml["hopper"]), pdml["walker2d"]) == (True, 0.5)
+
+
 def drowned() -> list[Row]:
     """Recording a tells .3 for recency; b's distances (4) are lost in noise."""
     return [
