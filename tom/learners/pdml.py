@@ -43,7 +43,8 @@ def policy_weights(distance: Tensor, count: Tensor, config: PdmlConfig) -> tuple
 class PdmlLearner(Stateless):
     """Weights of whole policies; it keeps nothing, for the rows hold their policies.
 
-    Uniform, and not ready, until the policy has taken `config.warmup` steps in the environment.
+    Uniform, and not ready, until the policy has taken `config.warmup` steps in the environment, and
+    where exploration collected every row.
     """
 
     def __init__(self, config: PdmlConfig) -> None:
@@ -51,9 +52,9 @@ class PdmlLearner(Stateless):
 
     def weigh(self, context: FitContext) -> Weighting:
         """Raises UserError (`Behaviour.of`)."""
-        if context.on_policy_steps < max(self.config.warmup, 1):
-            return uniform(context.replay, ready=False)
         explored = explored_rows(context)
+        if context.on_policy_steps < max(self.config.warmup, 1) or bool(explored.all()):
+            return uniform(context.replay, ready=False)
         bound = total_variation(Behaviour.of(context, ~explored).divergence()).to(torch.float64)
         number = policy_numbers(explored, self.config.rows_per_policy)
         of = number[~explored]

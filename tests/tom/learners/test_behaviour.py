@@ -1,5 +1,7 @@
 """The learners that use the policy then and now, and PMER, against other ways to compute them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -98,6 +100,13 @@ def test_pdml_by_a_loop_over_policies():
     np.testing.assert_allclose(found, np.array(raw) * N / sum(raw), rtol=1e-4)
     policy_rows = found[EXPLORED:]
     assert float(policy_rows[-30:].sum() / policy_rows.sum()) == pytest.approx(0.4, abs=1e-4)
+
+
+def test_of_exploration_alone_pdml_makes_even_weights():
+    asked = given()
+    alone = replace(asked, policy_version=torch.zeros_like(asked.policy_version))
+    found = PdmlLearner(PdmlConfig()).weigh(alone)
+    assert found.weights.tolist() == [1.0] * N
 
 
 def test_exploration_between_policies_belongs_to_none():
