@@ -69,7 +69,9 @@ def import_metrics(
         with opened(place, run_id, settings) as recorder:
             # Steps before that of the status have no time: theirs is not known.
             recorder.consume(Tick(last + 1, "import"))
-            for step, values in table.rename(columns={chosen: "eval/return"}).iterrows():
+            # A metric of that name that is not the chosen one keeps its numbers under another.
+            names = {"eval/return": "imported/eval/return", chosen: "eval/return"}
+            for step, values in table.rename(columns=names).iterrows():
                 recorder.consume(Metrics(int(str(step)), values.dropna().to_dict()))
             recorder.consume(Tick(last, "import"))
     return list(named)

@@ -42,6 +42,17 @@ def test_a_csv_of_wandb_is_a_run_for_each_of_its_runs(tmp_path: Path):
     assert code_of([*words, "--return", "eval/score"]) == 2  # they are there
 
 
+def test_the_named_return_is_the_only_one(tmp_path: Path):
+    table = tmp_path / "export.csv"
+    columns = {"Step": [1, 2], "charts/score": [1, 2], "eval/return": [100, 200]}
+    pd.DataFrame(columns).to_csv(table, index=False)
+    words = ["runs", "import", str(table), "--env", "Pendulum-v1", "--store", str(tmp_path / "r")]
+    assert code_of([*words, "--return", "charts/score"]) == 0
+    run = loaded(tmp_path / "r", "export")
+    assert run.metrics["eval/return"].tolist() == [1, 2]
+    assert run.reader.status.best_return == 2
+
+
 @pytest.mark.parametrize("name", ["events.csv", "events.tfevents"])
 def test_what_cannot_be_read_makes_no_run(name: str, tmp_path: Path, capsys):
     (tmp_path / name).write_bytes(b"neither events nor columns")
