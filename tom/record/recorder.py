@@ -78,6 +78,7 @@ class Recorder:
         self._next_snapshot = resumed.get("next_snapshot", 0.0 if config.snapshots else np.inf)
         self._finished = False
         last, best = resumed.get("returns", (None, None))
+        self._best: float | None = best  # of the rows that are written
         self.status = Status(
             state="running",
             phase="start",
@@ -275,8 +276,7 @@ class Recorder:
         self._pending_step = env_step
         self._pending.update(values)
         if isfinite(returned := values.get("eval/return", np.nan)):
-            best = self.status.best_return
-            best = returned if best is None else max(best, returned)
+            best = returned if self._best is None else max(self._best, returned)
             self._say(last_return=returned, best_return=best)
             self._pending["eval/return_max"] = best
 
@@ -285,6 +285,7 @@ class Recorder:
         if not self._pending:
             return
         step, values, self._pending = self._pending_step, self._pending, {}
+        self._best = self.status.best_return
         # Metrics of an earlier step (a fit's exam) have no time of their own, and of a step with
         # two rows the first counts: an evaluation is not as late as the fit that follows.
         if step >= self.status.env_step and step != self._timed:

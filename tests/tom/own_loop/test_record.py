@@ -168,6 +168,18 @@ def test_what_is_cut_off_counts_as_no_best_return(tmp_path: Path):
     assert found.reader.status.best_return == -90
 
 
+def test_the_best_return_is_of_whole_evaluations(tmp_path: Path):
+    with record("mine", env="Pendulum-v1", store=tmp_path) as run:
+        for step, returns in ((10, (100.0, 0.0)), (20, (60.0, 64.0)), (30, (70.0, 0.0))):
+            for reward in returns:
+                run.episode(step, np.zeros((2, 3)), [reward])
+    found = loaded(run)
+    assert found.metrics["eval/return"].tolist() == [50, 62, 35]
+    assert found.metrics["eval/return_max"].tolist() == [50, 62, 62]
+    status = found.reader.status
+    assert (status.last_return, status.best_return) == (35, 62)
+
+
 KILLED = """
 import sys
 import numpy as np
