@@ -6,7 +6,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from functools import wraps
+from functools import lru_cache, partial, wraps
 from pathlib import Path
 from typing import Any, Concatenate, Literal, ParamSpec, Self
 
@@ -132,7 +132,7 @@ class OwnRun:
         self._flushed = time.monotonic()
         self._policy: tuple[int, Arrays] | None = None
         self._copier = PolicyCopier(known)
-        self._evaluator: Evaluator | None = None
+        self._evaluator = lru_cache(maxsize=1)(partial(Evaluator, known))  # by its episodes
         self._episodes: tuple[int, list[Episode]] = (-1, [])
         self._newest: Transitions | None = None  # the last block of rows
         self._next_card, self._given = FEW_ROWS, set[str]()
@@ -281,12 +281,10 @@ class OwnRun:
         """
         if self._policy is None:
             raise UserError("no policy has been kept yet: call policy before")
-        if self._evaluator is None:
-            self._evaluator = Evaluator(self._known, episodes)
         at, policy = self._at(step), StoredPolicy(self._policy[1])
         if at == self._episodes[0]:
             return
-        self._evaluated(at, self._evaluator.run(policy.mean, at))
+        self._evaluated(at, self._evaluator(episodes).run(policy.mean, at))
 
     def latest_weights(self, learner: str = "tom") -> NDArray[np.float32]:
         """The newest live weights (`tom.weigh_live`) of the rows handed in, oldest first: (N,).

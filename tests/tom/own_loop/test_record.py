@@ -180,6 +180,16 @@ def test_the_best_return_is_of_whole_evaluations(tmp_path: Path):
     assert (status.last_return, status.best_return) == (35, 62)
 
 
+def test_an_evaluation_plays_as_many_episodes_as_it_is_asked_for(tmp_path: Path):
+    with record("mine", env="InvertedPendulum-v5", store=tmp_path) as run:
+        played(run, gymnasium.make("InvertedPendulum-v5"), 20)
+        run.policy(20, lambda obs: np.zeros((len(obs), 1)))
+        for step, episodes in ((20, 1), (30, 3), (40, 2)):
+            run.evaluate(step, episodes)
+    reader = loaded(run).reader
+    assert [len(reader.episodes(step)) for step in (20, 30, 40)] == [1, 3, 2]
+
+
 KILLED = """
 import sys
 import numpy as np
