@@ -7,8 +7,9 @@ import pytest
 from kernel import wait_for
 from loops import loaded
 
+from tom.data.unpack import read_arrays
 from tom.errors import UserError
-from tom.own_loop.live import weigh_live
+from tom.own_loop.live import _Live, weigh_live
 from tom.own_loop.run import OwnRun, record
 from tom.record import RunReader, layout
 from tom.record.integrity import verify
@@ -120,3 +121,32 @@ def test_a_run_that_goes_on_is_weighed_from_there(tmp_path: Path):
     fits = found.reader.profiles().env_step.tolist()
     assert fits == [700]  # not that of rows that were cut off
     assert found.reader.snapshot_steps() == fits
+
+
+def test_live_weights_of_rows_that_were_cut_out_of_the_record_go(tmp_path: Path):
+    # The first environment's episodes are ten times as long, so its rows are recorded later.
+    def hand_in_until(run: OwnRun, step: int) -> None:
+        while run.step < step:
+            obs, no, t = np.full((2, 3), run.step / 10), np.zeros(2, bool), run.step // 2
+            ended = np.array([t % 100 == 99, t % 10 == 9])
+            run.transitions(obs, np.zeros((2, 1)), np.zeros(2), obs + 0.1, no, ended)
+        run.policy(run.step, act)
+
+    def weigh(live: _Live) -> None:
+        source = RunReader(tmp_path / "mine")
+        policy = read_arrays(source.path / layout.policy(source.policy_steps()[-1]))
+        live.weigh(*source.buffer(), policy)
+
+    with record("mine", env="Pendulum-v1", store=tmp_path, envs=2) as run:
+        live = _Live(RunReader(run.path), "pmac", 100, run.began_at)
+        with live.recorder:
+            for step in (180, 300):
+                hand_in_until(run, step)
+                weigh(live)
+        assert RunReader(live.recorder.writer.path).snapshot_steps() == [90, 250]
+    resume = {"resume": "auto", "step": 260}
+    with record("mine", env="Pendulum-v1", store=tmp_path, envs=2, **resume) as run:
+        assert run.step == 260
+        live = _Live(RunReader(run.path), "pmac", 100, run.began_at)
+        with live.recorder:  # of the 250 rows that were weighed some had a number above 260
+            assert RunReader(live.recorder.writer.path).snapshot_steps() == [90]
