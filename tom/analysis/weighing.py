@@ -134,7 +134,7 @@ def weigh(
         ours, judges = (episodes.transitions.torch() for episodes in (made, fresh))
         for name in learners:
             own = config.but(learner=name, seed=seed)
-            weighting = fit_weights(data, policy, ours, max(len(ours), own.tom.warmup), own)
+            weighting = fit_weights(data, policy, ours, max(len(ours), *_warmups(own)), own)
             event, generator = weighting.event(0), Streams(seed).torch("exam")
             counted = weighting.counted(of_model(own))  # as in the exam of a training's fit
             yield Weighed(
@@ -148,6 +148,13 @@ def weigh(
                 match=footprint_match(rows, counted, judges, scaling, generator),
                 terms=dict(event.terms),
             )
+
+
+def _warmups(config: RunConfig) -> list[int]:
+    """The on-policy steps after which learners begin to weigh; recorded data is past them."""
+    groups = (getattr(config, group, None) for group in setting_groups())
+    known = (getattr(group, "warmup", None) for group in groups)
+    return [steps for steps in known if isinstance(steps, int)]
 
 
 def made_anew(
