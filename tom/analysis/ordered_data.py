@@ -105,7 +105,9 @@ def _of_dataset(name: str, env: str) -> OrderedData:
         name=Path(name).stem,
         env=env,
         transitions=rows,
-        policy_version=torch.arange(len(rows)) if version is None else torch.from_numpy(version),
+        policy_version=torch.arange(1, len(rows) + 1)
+        if version is None
+        else torch.from_numpy(version),
         initial_obs=torch.as_tensor(initial_obs(rows)),
         card=of_task(recording.card, known, rows),
         ordered_from=0,
