@@ -114,7 +114,8 @@ def _cut_buffer(writer: RunWriter, reader: RunReader, last: float) -> int:
     first, rows, version = 0, [], []
     for number in layout.numbers(reader.path / layout.BUFFER, ".npz"):
         part, numbers = decode.transitions_of(read_arrays(reader.path / layout.segment(number)))
-        if not rows or bool((np.concatenate(version) <= last).all()):
+        # A segment before is right as it is if its last row is followed by one that stays.
+        if not rows or (numbers[0] <= last and bool((np.concatenate(version) <= last).all())):
             first, rows, version = number, [], []
         rows.append(part)
         version.append(numbers)

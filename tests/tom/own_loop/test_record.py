@@ -20,6 +20,7 @@ from loops import loaded as load
 import tom
 from tom.errors import UserError
 from tom.frames import Run
+from tom.own_loop.rows import BLOCK
 from tom.own_loop.run import OwnRun, record
 from tom.policy.stored import read_policy
 
@@ -230,6 +231,23 @@ def test_a_killed_loop_goes_on_where_it_says(tmp_path: Path):
     assert found.metrics["my/step"].dropna().index.tolist() == list(range(100, 5001, 100))
     assert found.reader.snapshot_steps()[-1] == 6000
     assert str(found.summary["state"]) == "finished"
+
+
+def test_an_episode_is_cut_at_the_border_of_two_files_as_well(tmp_path: Path):
+    def hand_in(run: OwnRun, first: int, rows: int) -> None:
+        at = np.arange(first, first + rows)[:, None] + np.zeros(3)
+        no = np.zeros(rows, bool)
+        run.transitions(at, np.zeros((rows, 1)), np.ones(rows), at + 1, no, no)
+
+    with record("mine", env="Pendulum-v1", store=tmp_path) as run:
+        for _ in range(3):
+            hand_in(run, run.step, BLOCK)
+    assert len([*(run.path / "buffer").iterdir()]) == 3
+    cut = 2 * BLOCK
+    with record("mine", env="Pendulum-v1", store=tmp_path, resume="auto", step=cut) as run:
+        hand_in(run, 0, 10)
+    ends = np.flatnonzero(loaded(run).transitions["truncated"]) + 1
+    assert ends.tolist() == [cut]
 
 
 BAD = {
