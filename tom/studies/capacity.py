@@ -117,7 +117,7 @@ def verdict(rows: Sequence[Row], pairs: Sequence[Row]) -> list[str]:
         said.append(
             f"Model {model}: {best['way']} errs least, {best['one step']:.2f} of the error under "
             f"uniform weights one step ahead (less in {best['one step, below 1']:.0%} of "
-            f"{best['n']} moments), {best['five steps']:.2f} five steps ahead."
+            f"{best['n']} trials), {best['five steps']:.2f} five steps ahead."
         )
     return said + answers(pairs, "ratio", "less at")
 

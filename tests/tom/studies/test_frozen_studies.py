@@ -185,6 +185,9 @@ def test_a_capacitys_summary_by_hand():
     assert linear["one step, below 1"] == 1
     assert small["one step"] == pytest.approx(1.2)
     assert small["one step, below 1"] == 0
+    # A second seed of the same two moments makes trials, not moments.
+    twice = [*found, *(dict(one, seed=1) for one in found)]
+    assert "in 100% of 4 trials" in capacity.verdict(capacity.summary(twice), [])[0]
 
 
 def test_two_ways_are_compared_moment_by_moment():
