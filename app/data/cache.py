@@ -10,8 +10,8 @@ import hashlib
 import sys
 from collections.abc import Callable, Hashable, Mapping
 from functools import wraps
-from threading import Lock, RLock
-from typing import Any, Generic, ParamSpec, TypeVar
+from threading import RLock
+from typing import Any, ParamSpec, TypeVar
 from weakref import WeakValueDictionary
 
 import pandas as pd
@@ -30,34 +30,26 @@ RESULTS: LRUCache[Hashable, tuple[Hashable, Any]] = LRUCache(
     lambda result: min(bytes_of(result[1]), STUDIO_CACHE_BYTES),
 )
 LOCK = RLock()
+_MAKING: WeakValueDictionary[Hashable, Any] = WeakValueDictionary()
+"""by key, the lock of who makes its result"""
 
 
-class VersionedCache(Generic[T]):
-    """One result a key: a new version replaces the old one.
+def made_once(key: tuple[Hashable, ...], version: Hashable, make: Callable[[], T]) -> T:
+    """The result for `key`, made if it is not kept in this `version`, whose older one it replaces.
 
-    Thread-safe: who asks for what another thread is making waits for it.
+    It is shared and must not be changed. Who asks for what another thread is making waits for it.
     """
-
-    def __init__(self) -> None:
-        self._making: WeakValueDictionary[Hashable, Any] = WeakValueDictionary()
-
-    def get(self, key: Hashable, make: Callable[[], T], version: Hashable = None) -> T:
-        """The result for `key`, made if it is not cached in this `version`.
-
-        It is shared and must not be changed.
-        """
-        place = self, key
+    with LOCK:
+        making = _MAKING.setdefault(key, RLock())
+    with making:
         with LOCK:
-            making = self._making.setdefault(key, RLock())
-        with making:
-            with LOCK:
-                cached = RESULTS.get(place)
-            if cached is not None and cached[0] == version:
-                return cached[1]
-            made = make()
-            with LOCK:
-                RESULTS[place] = version, made
-        return made
+            held = RESULTS.get(key)
+        if held is not None and held[0] == version:
+            return held[1]
+        made = make()
+        with LOCK:
+            RESULTS[key] = version, made
+    return made
 
 
 def cached(*parts: Part) -> Callable[[Callable[P, T]], Callable[P, T]]:
@@ -69,13 +61,11 @@ def cached(*parts: Part) -> Callable[[Callable[P, T]], Callable[P, T]]:
     of_loop = {*parts} <= {*OF_LOOP}
 
     def of(read: Callable[P, T]) -> Callable[P, T]:
-        cache: VersionedCache[T] = VersionedCache()
-
         @wraps(read)
         def get(*args: P.args, **kwargs: P.kwargs) -> T:
             assert not kwargs, "a key has no names"
             step = next((one for one in args if isinstance(one, int)), 0)
-            key, version = list[Hashable](), list[Hashable]()
+            key, version = list[Hashable]([read]), list[Hashable]()
             for one in args:
                 if isinstance(one, RunReader):
                     key.append(one.home if of_loop else one.path)
@@ -83,7 +73,7 @@ def cached(*parts: Part) -> Callable[[Callable[P, T]], Callable[P, T]]:
                 else:
                     key.append(getattr(one, "label", one))
                     version.append(getattr(one, "version", None))
-            return cache.get(tuple(key), lambda: read(*args, **kwargs), tuple(version))
+            return made_once(tuple(key), tuple(version), lambda: read(*args, **kwargs))
 
         return get
 
@@ -119,7 +109,6 @@ OFFERED = 20_000
 """arrays that are known at a time; each page offers its own again when it is drawn"""
 
 _MAKERS: LRUCache[str, Callable[[], NDArray]] = LRUCache(OFFERED)
-_OFFERING = Lock()
 
 
 def offer(key: tuple[object, ...], make: Callable[[], NDArray], made: NDArray | None = None) -> str:
@@ -128,20 +117,17 @@ def offer(key: tuple[object, ...], make: Callable[[], NDArray], made: NDArray | 
     `made` is that array if a training may soon replace what `make` reads.
     """
     name = hashlib.sha256(repr(key).encode()).hexdigest()[:32]
-    with _OFFERING:
+    with LOCK:
         _MAKERS[name] = make
-    if made is not None:
-        with LOCK:
+        if made is not None:
             RESULTS[name] = None, made
     return f"{ARRAYS}/{name}"
 
 
 def array(name: str) -> bytes | None:
     """The bytes of an offered array, little-endian; None if no page has offered it."""
-    with _OFFERING:
-        make = _MAKERS.get(name)
     with LOCK:
-        kept = RESULTS.get(name)
-    if kept is not None:
-        return kept[1].tobytes()
+        make, held = _MAKERS.get(name), RESULTS.get(name)
+    if held is not None:
+        return held[1].tobytes()
     return None if make is None else make().tobytes()

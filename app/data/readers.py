@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from app.data import trainings
-from app.data.cache import VersionedCache, cached
+from app.data.cache import cached, made_once
 from tom.errors import UserError
 from tom.learners import SUBJECT
 from tom.record import manage
@@ -95,9 +95,6 @@ def reader(run: RunReader) -> RunReader:
     return RunReader(run.path)
 
 
-_PARTS: VersionedCache[tuple[Any, list[str]]] = VersionedCache()
-
-
 def _part(run: RunReader, part: Literal["metrics", "profiles", "notices"]) -> tuple[Any, list[str]]:
     """A part of a run, and the problems of its files."""
 
@@ -105,7 +102,7 @@ def _part(run: RunReader, part: Literal["metrics", "profiles", "notices"]) -> tu
         own = reader(run)
         return getattr(own, part)(), own.problems
 
-    return _PARTS.get((run.path, part), read, run.version(part))
+    return made_once((part, run.path), run.version(part), read)
 
 
 def weighers(run: RunReader) -> dict[str, RunReader]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from app import text
 from app.data import readers
-from app.data.cache import VersionedCache
+from app.data.cache import made_once
 from app.data.exams import at_fit
 from tom.analysis.progression import medians, progression
 from tom.data.card import sentence
@@ -190,7 +190,7 @@ class Weighing:
 
         if self.columns is not None:
             return self.columns
-        return _TABLES.get(self.path, read, modified(self.path / WEIGHTS))
+        return made_once(("weights", self.path), modified(self.path / WEIGHTS), read)
 
     def weights(self) -> dict[tuple[str, int], NDArray[np.float32]]:
         """The weights (N,) by learner and seed; empty if they cannot be read."""
@@ -220,9 +220,6 @@ class Weighing:
                 pair = footprint, result.get("footprint_se")
                 measured.setdefault(result["learner"], []).append(pair)
         return {learner: np.array(pairs, np.float64) for learner, pairs in measured.items()}
-
-
-_TABLES: VersionedCache[dict[str, NDArray]] = VersionedCache()
 
 
 def profiles(of: Mapping[tuple[str, int], NDArray]) -> dict[str, NDArray[np.float64]]:

@@ -10,7 +10,7 @@ from torch import Tensor
 from app.data import buffer
 from app.data.buffer import Floats, Rows
 from app.data.buffer_map import Source
-from app.data.cache import VersionedCache, cached
+from app.data.cache import cached, made_once
 from app.data.readers import reader
 from app.data.weighings import Weighing
 from tom.analysis import why
@@ -53,10 +53,7 @@ class Why:
 def why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
     """The terms of these weights, or a text with the reason why there are none."""
     version = run.version("buffer"), source.version
-    return _WHY.get((run.path, source.label), lambda: _why_of(run, rows, source), version)
-
-
-_WHY: VersionedCache[Why | str] = VersionedCache()
+    return made_once(("why", run.path, source.label), version, lambda: _why_of(run, rows, source))
 
 
 def _why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:

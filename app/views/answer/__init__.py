@@ -9,7 +9,7 @@ import streamlit as st
 from app import session, text
 from app.data import answer, buffer, readers, road
 from app.data.answer import Answer, Side, newest_share
-from app.data.cache import VersionedCache
+from app.data.cache import made_once
 from app.data.called import task
 from app.data.exams import exams_of
 from app.figures.base import across, steps_in_words
@@ -44,7 +44,6 @@ ON_ROAD = ("Where does it look?", "attention", "weight on the map, of one run", 
 Chart = tuple[Drawn, str]
 """of a card, and the caption of its saved figure"""
 Card = tuple[Answer, Chart | None]
-_MADE: VersionedCache[list[Card]] = VersionedCache()
 
 
 def page(scope: Scope) -> None:
@@ -102,7 +101,7 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
         for run in dict.fromkeys((loop, readers.weighed(loop)))
     )
     key = tuple(groups), session.mode(), frozenset((kind, scope.looks[kind]) for kind in kinds)
-    made = _MADE.get(key, lambda: _made(scope, groups), version)
+    made = made_once(("cards", *key), version, lambda: _made(scope, groups))
     grid = st.container(horizontal=True, key="cards")
     mine = next(iter(groups.values()))
     cards = (ON_ROAD, *CARDS[1:]) if mine[0].env == ROAD else CARDS

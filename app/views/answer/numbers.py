@@ -10,7 +10,7 @@ import streamlit as st
 from app import text
 from app.data import buffer, readers
 from app.data.buffer import Floats
-from app.data.cache import VersionedCache
+from app.data.cache import made_once
 from app.data.called import told_apart
 from app.data.exams import Exams, Ranking, Standing, exams_of, middle, ranking
 from app.figures.curves import looks_of
@@ -59,7 +59,6 @@ COLUMNS = {
         help="fits whose footprint is not lost in its noise"
     ),
 }
-_RANKINGS: VersionedCache[tuple[list[Exams], Ranking]] = VersionedCache()
 
 
 def draw(scope: Scope, env: str) -> None:
@@ -99,7 +98,8 @@ def _exams(runs: Sequence[RunReader]) -> None:
     version = tuple(
         (run.path, run.version("metrics"), readers.weighed(run).version("metrics")) for run in runs
     )
-    exams, result = _RANKINGS.get(tuple(run.path for run in runs), make, version)
+    key = "exams", *(run.path for run in runs)
+    exams, result = made_once(key, version, make)
     sat = {one.run_id: result.ended_before(one) for one in exams}
     without = [run for run in runs if run.run_id not in sat]
     early = [run for run in runs if sat.get(run.run_id)]

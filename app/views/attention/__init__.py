@@ -9,7 +9,7 @@ import streamlit as st
 from app import session, text
 from app.data import buffer, readers, road, weighings
 from app.data.answer import newest_share
-from app.data.cache import VersionedCache
+from app.data.cache import made_once
 from app.data.called import names, told_apart
 from app.data.exams import at_fit
 from app.data.weighings import Dataset
@@ -63,7 +63,6 @@ ROAD_NUMBERS = {
     "policy return": ("eval/return", "mean return of the policy at this step"),
 }  # fmt: skip
 """by their label: metric and explanation"""
-_MAPS: VersionedCache[Drawn] = VersionedCache()
 
 
 def page(scope: Scope) -> None:
@@ -256,7 +255,7 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
             return Drawn.of(over_fits([("", returns, profiles)], mode, HEIGHT))
 
         version = run.version("profiles"), loop.version("metrics")
-        figure = _MAPS.get((run.path, mode), drawn, version)
+        figure = made_once(("weight map", run.path, mode), version, drawn)
         label = "weight of each part of the buffer at every fit, and the returns below"
         to_fit = partial(_go_to, fits)
         chart(figure, "weight map", label, to_fit, follow=Follow(cursor=True), after=SELECTOR)
@@ -271,7 +270,7 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
             figure = weight_profile(bins, run.learner, HEIGHT, top=top, keep=run.run_id)
             return Drawn.of(figure)
 
-        figure = _MAPS.get((run.path, fit), profile, run.version("profiles"))
+        figure = made_once(("profile", run.path, fit), run.version("profiles"), profile)
         finite = np.maximum(np.nan_to_num(profiles.bins), FLOOR)  # JSON has no NaN
         follow = Follow(
             steps=fits, trace=np.where(finite < 1, finite.round(4), finite.round(2)).tolist()

@@ -13,7 +13,7 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import session, text
 from app.data import readers, tables
-from app.data.cache import VersionedCache
+from app.data.cache import made_once
 from app.data.called import names, task, told_apart
 from app.figures.base import steps_in_words
 from app.figures.curves import alone, group_curves, label_ends, short_title
@@ -35,7 +35,6 @@ CURVES, STATISTICS, SETTINGS, RUNS = "Curves", "Statistics", "Settings", "Runs"
 REFRESH_S = 5
 CLICKED = "curves: a point was clicked"
 PANEL_HEIGHT = 300
-_PANELS: VersionedCache[Drawn] = VersionedCache()
 _number = st.column_config.NumberColumn
 COLUMNS = {
     "settings": st.column_config.TextColumn("settings", width="medium"),
@@ -175,7 +174,7 @@ def _figure(
         return Drawn.of(figure)
 
     key = measure.held(here, scope.kinds), metric, how, *looks.items()
-    return _PANELS.get(key, drawn)
+    return made_once(("panel", *key), None, drawn)
 
 
 def caption(metric: str, env: str, grouped: Sequence[Group], how: Measure, scope: Scope) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 import streamlit as st
 
 from app.data import readers
-from app.data.cache import VersionedCache
+from app.data.cache import made_once
 from app.figures.curves import Axes
 from app.parts import address
 from app.parts.plot import Part, View
@@ -30,7 +30,6 @@ FIRST = ("eval/return", "exam/error", "exam/footprint", "weights/ess", "exam/rol
 """the metrics that users want most; they come before the others"""
 IQM = "interquartile mean: the mean of the middle half of the runs; of fewer than four the mean"
 ZOOM = "zoom"
-_GROUPED: VersionedCache[tuple[list[Curve], list[Group]]] = VersionedCache()
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,7 @@ def grouped(
         advancing = all((np.diff(one.step) > 0).all() for one in curves)
         return curves, groups(curves, statistic, band) if advancing else []
 
-    return _GROUPED.get((held(runs, kinds), metric, x, statistic, band), make)
+    return made_once(("groups", held(runs, kinds), metric, x, statistic, band), None, make)
 
 
 def held(runs: Sequence[RunReader], kinds: Mapping[str, Kind]) -> tuple[object, ...]:

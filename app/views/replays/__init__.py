@@ -6,7 +6,7 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers
-from app.data.cache import VersionedCache
+from app.data.cache import made_once
 from app.data.called import names, told_apart
 from app.data.replays import DEFAULT_HORIZON
 from app.figures.weights import over_fits
@@ -24,7 +24,6 @@ EPISODE, SIDE, FILM, RERUN = "One episode", "Side by side", "Film", "Rerun"
 MOST = 4
 SIDE_HEIGHT, FILM_HEIGHT, RERUN_HEIGHT = 480, 700, 720
 LENGTHS = {"15 s": 15.0, "30 s": 30.0, "1 min": SECONDS, "2 min": 120.0}
-_STORIES: VersionedCache[dict] = VersionedCache()
 
 
 def page(scope: Scope) -> None:
@@ -125,7 +124,7 @@ def _film(scope: Scope) -> None:
     try:
         with st.spinner("The story is told to the film..."):
             version = run.version("metrics"), run.name  # the film has the name as its title
-            told = _STORIES.get(run.path, lambda: story(run), version)
+            told = made_once(("story", run.path), version, lambda: story(run))
     except UserError as error:
         widgets.left_out(run, "buffer")
         st.warning(text.markdown(error))

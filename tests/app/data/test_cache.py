@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from app.data import cache
-from app.data.cache import RESULTS, VersionedCache, bytes_of
+from app.data.cache import RESULTS, bytes_of, made_once
 from tom.data.transitions import Transitions
 
 
@@ -24,16 +24,14 @@ def room(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def test_of_what_changes_one_version_is_kept() -> None:
-    cache: VersionedCache[list[int]] = VersionedCache()
     for version in range(3):
-        assert cache.get("live", lambda v=version: [v], version) == [version]
-    assert cache.get("still", lambda: [9]) == [9]
-    assert cache.get("live", lambda: [0], 2) == [2]
-    assert cache.get("live", lambda: [0], 1) == [0]
+        assert made_once(("live",), version, lambda v=version: [v]) == [version]
+    assert made_once(("still",), None, lambda: [9]) == [9]
+    assert made_once(("live",), 2, lambda: [0]) == [2]
+    assert made_once(("live",), 1, lambda: [0]) == [0]
 
 
 def test_what_one_thread_makes_another_waits_for() -> None:
-    cache: VersionedCache[list[int]] = VersionedCache()
     begun, go_on = Event(), Event()
 
     def make() -> list[int]:
@@ -42,32 +40,29 @@ def test_what_one_thread_makes_another_waits_for() -> None:
         return [1]
 
     with ThreadPoolExecutor(3) as threads:
-        first = threads.submit(cache.get, "a", make)
+        first = threads.submit(made_once, ("a",), None, make)
         assert begun.wait(30)
-        second = threads.submit(cache.get, "a", lambda: [2])
-        assert threads.submit(cache.get, "b", lambda: [3]).result(30) == [3]
+        second = threads.submit(made_once, ("a",), None, lambda: [2])
+        assert threads.submit(made_once, ("b",), None, lambda: [3]).result(30) == [3]
         go_on.set()
         assert second.result(30) is first.result(30)
 
 
-def test_all_caches_share_the_bytes_and_the_oldest_goes_first() -> None:
-    first: VersionedCache[np.ndarray] = VersionedCache()
-    second: VersionedCache[np.ndarray] = VersionedCache()
-    kept = first.get("a", lambda: np.zeros(500))
-    second.get("b", lambda: np.zeros(500))
-    assert first.get("a", lambda: np.ones(500)) is kept  # now `b` is the oldest
-    second.get("c", lambda: np.zeros(500))
-    assert first.get("a", lambda: np.ones(500)) is kept
-    assert second.get("b", lambda: np.ones(500)).all()
+def test_all_results_share_the_bytes_and_the_oldest_goes_first() -> None:
+    first = made_once(("a",), None, lambda: np.zeros(500))
+    made_once(("b",), None, lambda: np.zeros(500))
+    assert made_once(("a",), None, lambda: np.ones(500)) is first  # now `b` is the oldest
+    made_once(("c",), None, lambda: np.zeros(500))
+    assert made_once(("a",), None, lambda: np.ones(500)) is first
+    assert made_once(("b",), None, lambda: np.ones(500)).all()
 
 
 def test_a_result_larger_than_the_budget_is_kept_alone() -> None:
-    cache: VersionedCache[np.ndarray] = VersionedCache()
-    large = cache.get("large", lambda: np.zeros(2000))
-    assert cache.get("large", lambda: np.ones(2000)) is large
-    small = cache.get("small", lambda: np.zeros(2))
-    assert cache.get("small", lambda: np.ones(2)) is small
-    assert cache.get("large", lambda: np.ones(2000)).all()
+    large = made_once(("large",), None, lambda: np.zeros(2000))
+    assert made_once(("large",), None, lambda: np.ones(2000)) is large
+    small = made_once(("small",), None, lambda: np.zeros(2))
+    assert made_once(("small",), None, lambda: np.ones(2)) is small
+    assert made_once(("large",), None, lambda: np.ones(2000)).all()
 
 
 @pytest.mark.parametrize(
