@@ -92,17 +92,12 @@ def chart(
     """
 
     drawn = figure if isinstance(figure, Drawn) else Drawn.of(figure)
-    follows = follow and {
-        "cursor": follow.cursor,
-        "steps": list(follow.steps),
-        "traces": [{"index": 0, "y": follow.trace}] if follow.trace else None,
-    }
     data = {
         "figure": drawn.json,
         "library": LIBRARY_PATH,
         "label": label,
         "view": view and view._asdict(),
-        "follows": follows,
+        "follows": follow and vars(follow),
         "linked": linked,
         "caption": caption,
         "after": after,

@@ -294,10 +294,10 @@ function stand(line, { t, h }, x) {
   for (const [name, value] of Object.entries(at)) if (line.style[name] !== value) line.style[name] = value;
 }
 
-// Shows the state of the page's timeline: a cursor at its step, and the traces' values at the last
-// of the figure's own steps that is not after it.
+// Shows the state of the page's timeline: a cursor at its step, and the first trace's values at the
+// last of the figure's own steps that is not after it.
 function follow(plot, step) {
-  const { cursor, steps, traces } = plot.follows ?? {};
+  const { cursor, steps, trace } = plot.follows ?? {};
   if (step === undefined || !plot.wired) return;
   const mark = plot.parentElement.querySelector(".plot-cursor");
   mark.hidden = !cursor;
@@ -307,29 +307,25 @@ function follow(plot, step) {
     mark.hidden = !(x >= 0 && x <= xaxis._length);
     stand(mark, _size, xaxis._offset + x);
   }
-  if (!traces) return;
+  if (!trace?.length) return;
   const at = Math.max(steps.filter((own) => own <= step).length - 1, 0);
   if (at === plot.frame) return;
   plot.frame = at;
-  for (const { index, y } of traces) {
-    const [trace, values] = [plot.data[index], y[at]];
-    if (Array.isArray(values)) trace.y = values;
-    else Object.assign(trace, values);
-  }
-  if (!traces.every(({ index, y }) => moveBars(plot, index, y[at]))) return window.Plotly.redraw(plot);
+  const values = trace[at];
+  Object.assign(plot.data[0], Array.isArray(values) ? { y: values } : values);
+  if (!moveBars(plot, values)) return window.Plotly.redraw(plot);
   // What hovering shows comes with a whole drawing, once nothing has moved for a moment.
   clearTimeout(plot.later);
   plot.later = setTimeout(() => plot.isConnected && plot.wired && window.Plotly.redraw(plot), 400);
 }
 
-// Gives the bars of a trace other heights, in a hundredth of the time of a whole drawing; false if
-// the trace has no such bars.
-function moveBars(plot, index, y) {
-  const { type, x, width, yaxis: name } = plot._fullData[index];
-  const bars = plot.querySelectorAll(".barlayer .trace")[index]?.querySelectorAll(".point path");
+// Gives the bars of the first trace other heights, in a hundredth of the time of a whole drawing;
+// false if it has no such bars.
+function moveBars(plot, y) {
+  const { type, x, width } = plot._fullData[0];
+  const bars = plot.querySelector(".barlayer .trace")?.querySelectorAll(".point path");
   if (type !== "bar" || !width || bars?.length !== y.length) return false;
-  const { xaxis } = plot._fullLayout;
-  const yaxis = plot._fullLayout[name.replace("y", "yaxis")];
+  const { xaxis, yaxis } = plot._fullLayout;
   const base = yaxis.type === "log" ? yaxis._length : yaxis.d2p(0);
   bars.forEach((bar, i) => {
     const [left, right] = [xaxis.d2p(x[i] - width / 2), xaxis.d2p(x[i] + width / 2)];

@@ -129,7 +129,7 @@ WATCH = """() => {
   window.seen = [];
   window.addEventListener("tom:step", ({ detail }) => {
     const plots = [...document.querySelectorAll(".plot")];
-    const [profile] = plots.filter((p) => p.follows?.traces);
+    const [profile] = plots.filter((p) => p.follows?.trace);
     const [heat] = plots.filter((p) => p.follows?.cursor);
     const line = heat.parentElement.querySelector(".plot-cursor");
     const xaxis = heat._fullLayout?.xaxis; // not yet, where the chart is still to be drawn
