@@ -1,5 +1,11 @@
 // What the films share: numbers from base64, colours, robots of capsules, and the clock.
 
+const LOOK = TOLD.look;
+const DARK = TOLD.mode === "dark";
+const CANVAS = document.querySelector("canvas");
+const CTX = CANVAS.getContext("2d");
+const TEXT = rgb(LOOK.text);
+const FONT = "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif";
 const DECODED = { int16: Int16Array, int32: Int32Array, float32: Float32Array };
 
 function unpacked(text, kind) {
@@ -51,35 +57,36 @@ function pose(body, frame) {
 }
 
 // Draw a robot's parts from the side, a little from above, the far ones first.
-function robot(ctx, parts, radius, { x, y, scale, colour, alpha = 1, edge }) {
+function robot(parts, radius, { x, y, scale, colour, alpha = 1, edge }) {
+  edge ??= css(mixed(colour, DARK ? [0, 0, 0] : [60, 40, 30], 0.5), 0.8);
   const across = (i) => x + scale * (parts[i] + 0.35 * parts[i + 1]);
   const up = (i) => y - scale * (parts[i + 2] + 0.18 * parts[i + 1]);
   const order = radius.map((_, g) => g);
   order.sort((a, b) => parts[6 * b + 1] + parts[6 * b + 4] - parts[6 * a + 1] - parts[6 * a + 4]);
-  ctx.save();
-  ctx.globalAlpha = alpha;
-  ctx.lineCap = "round";
+  CTX.save();
+  CTX.globalAlpha = alpha;
+  CTX.lineCap = "round";
   for (const g of order) {
     const line = (width, style, lift = 0) => {
-      ctx.lineWidth = Math.max(width, 0.6);
-      ctx.strokeStyle = style;
-      ctx.beginPath();
-      ctx.moveTo(across(6 * g), up(6 * g) - lift);
-      ctx.lineTo(across(6 * g + 3) + 0.01, up(6 * g + 3) - lift);
-      ctx.stroke();
+      CTX.lineWidth = Math.max(width, 0.6);
+      CTX.strokeStyle = style;
+      CTX.beginPath();
+      CTX.moveTo(across(6 * g), up(6 * g) - lift);
+      CTX.lineTo(across(6 * g + 3) + 0.01, up(6 * g + 3) - lift);
+      CTX.stroke();
     };
     const thick = (2 * scale * radius[g]) / 1000;
     line(thick + 1.6, edge);
     line(thick, css(colour));
     line(0.35 * thick, css(mixed(colour, [255, 255, 255], 0.35)), 0.2 * thick);
   }
-  ctx.restore();
+  CTX.restore();
 }
 
 const GLOWS = new Map();
 
 // Light round something, drawn once for each colour.
-function glow(ctx, colour, x, y, size, strength) {
+function glow(colour, x, y, size, strength) {
   const key = colour.join();
   if (!GLOWS.has(key)) {
     const small = document.createElement("canvas");
@@ -93,16 +100,15 @@ function glow(ctx, colour, x, y, size, strength) {
     soft.fillRect(0, 0, 64, 64);
     GLOWS.set(key, small);
   }
-  ctx.save();
-  ctx.globalAlpha = clamp(strength);
-  ctx.drawImage(GLOWS.get(key), x - size, y - size, 2 * size, 2 * size);
-  ctx.restore();
+  CTX.save();
+  CTX.globalAlpha = clamp(strength);
+  CTX.drawImage(GLOWS.get(key), x - size, y - size, 2 * size, 2 * size);
+  CTX.restore();
 }
 
 // Play, pause, scrub. `draw(seconds)` draws the film at a time; so does whoever records it.
 function play(draw, seconds, { loops = false, begins = true } = {}) {
   const [button, time] = ["button", "input"].map((name) => document.querySelector(name));
-  const canvas = document.querySelector("canvas");
   let [at, playing, then] = [0, false, 0];
   const show = () => {
     draw(at);
@@ -125,7 +131,7 @@ function play(draw, seconds, { loops = false, begins = true } = {}) {
     then = performance.now();
     if (on) requestAnimationFrame(tick);
   };
-  button.onclick = canvas.onclick = () => set(!playing);
+  button.onclick = CANVAS.onclick = () => set(!playing);
   time.oninput = () => {
     at = Number(time.value) * seconds;
     show();
@@ -139,6 +145,6 @@ function play(draw, seconds, { loops = false, begins = true } = {}) {
   };
   show();
   if (begins) set(true);
-  window.film = { seconds, draw, stop: () => set(false), size: [canvas.width, canvas.height] };
+  window.film = { seconds, draw, stop: () => set(false), size: [CANVAS.width, CANVAS.height] };
   offer(window.film);
 }

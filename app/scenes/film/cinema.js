@@ -1,9 +1,5 @@
 // Attention cinema: one timeline moves the robots, the weight map, the returns and the buffer.
 
-const LOOK = TOLD.look;
-const DARK = TOLD.mode === "dark";
-const CANVAS = document.querySelector("canvas");
-const CTX = CANVAS.getContext("2d");
 const WEIGHTS = unpacked(TOLD.weights, "float32"); // log2, (F, bins)
 const CLOUD = {
   row: unpacked(TOLD.cloud.row, "int32"),
@@ -16,8 +12,6 @@ const INK = table(LOOK.map);
 const FIRST = TOLD.steps[0];
 // The last policy may have been tried after the last fit.
 const LAST = Math.max(TOLD.steps.at(-1), ...TOLD.policy.map((episode) => episode.step));
-const TEXT = rgb(LOOK.text);
-const FONT = "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif";
 const STAGE = { left: 28, right: 836, edge: 852, floor: 560, top: 96 };
 const PANEL = { left: 880, right: 1252 };
 const MAP = { ...PANEL, top: 116, bottom: 286 };
@@ -153,7 +147,7 @@ function drawReturns(step) {
   const now = steps.findLastIndex((s) => s <= step);
   if (now >= 0) {
     const at = [clamp(across(CURVE, steps[now]), CURVE.left, CURVE.right), y(value[now])];
-    glow(CTX, rgb(LOOK.learner), ...at, 16, 0.7);
+    glow(rgb(LOOK.learner), ...at, 16, 0.7);
     CTX.fillStyle = LOOK.learner;
     CTX.beginPath();
     CTX.arc(...at, 4.5, 0, 7);
@@ -236,12 +230,11 @@ function drawCrowd(at, step, seconds) {
     CTX.fill();
     if (heavy > 0) {
       const strong = born * heavy ** 0.7;
-      glow(CTX, colour, x, y - 0.5 * size * TALL, size * TALL * (0.55 + 0.4 * heavy), 0.75 * strong);
+      glow(colour, x, y - 0.5 * size * TALL, size * TALL * (0.55 + 0.4 * heavy), 0.75 * strong);
     }
-    robot(CTX, parts, radius, {
+    robot(parts, radius, {
       x, y, scale: size * (0.85 + 0.15 * born), colour,
       alpha: born * (heavy < 0 ? 0.95 + 0.6 * heavy : 1),
-      edge: css(mixed(colour, DARK ? [0, 0, 0] : [60, 40, 30], 0.5), 0.8),
     });
   }
 }
@@ -262,7 +255,7 @@ function drawPolicy(episode, seconds) {
   }
   const frames = episode.shape[0];
   const now = (seconds / (TOLD.dt * episode.every)) * 0.5 % frames;
-  robot(CTX, pose(episode, now), episode.radius, {
+  robot(pose(episode, now), episode.radius, {
     x: 432, y: 690, scale: Math.min(116 / TALL, 200), colour: rgb(LOOK.learner),
     edge: css(mixed(rgb(LOOK.learner), [0, 0, 0], 0.45), 0.9),
   });

@@ -1,11 +1,5 @@
 // Two ghosts beside an episode as it was: the model by the weights as they are, and by brushed ones.
 
-const LOOK = TOLD.look;
-const DARK = TOLD.mode === "dark";
-const CANVAS = document.querySelector("canvas");
-const CTX = CANVAS.getContext("2d");
-const TEXT = rgb(LOOK.text);
-const FONT = "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif";
 for (const one of TOLD.robots) one.numbers = unpacked(one.ends, "int16");
 const STEPS = TOLD.robots[0].shape[0] - 1;
 const TALL = Math.max(...pose(TOLD.robots[0], 0).filter((_, i) => i % 3 === 2), 0.4);
@@ -31,9 +25,8 @@ function draw(seconds) {
   for (const one of TOLD.robots) {
     const colour = rgb(one.colour);
     const x = CANVAS.width / 2 + (one.place[Math.floor(now)] - place) * SCALE + one.shift * SCALE;
-    robot(CTX, pose(one, now), one.radius, {
+    robot(pose(one, now), one.radius, {
       x, y: GROUND, scale: SCALE, colour, alpha: one.alpha,
-      edge: css(mixed(colour, DARK ? [0, 0, 0] : [60, 40, 30], 0.5), 0.8),
     });
     CTX.font = `600 26px ${FONT}`;
     CTX.textAlign = "center";

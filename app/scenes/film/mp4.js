@@ -25,7 +25,7 @@ async function encoded(film, length, drawn) {
   for (let i = 0; i < count; i++) {
     film.draw((i / count) * film.seconds);
     const timestamp = Math.round((1e6 * i) / RATE);
-    const picture = new VideoFrame(document.querySelector("canvas"), { timestamp });
+    const picture = new VideoFrame(CANVAS, { timestamp });
     encoder.encode(picture, { keyFrame: i % (2 * RATE) === 0 });
     picture.close();
     if ((i + 1) % AT_ONCE && i + 1 < count) continue;
