@@ -73,7 +73,7 @@ METRICS: dict[str, str] = {
     "weights/age_correlation": "rank correlation of weight and position in the buffer (1: newest count most)",
     "weights/ends": "share of the weight on transitions that end an episode in a terminal state",
     "weights/ends_policy": "their share of the policy buffer (the discounted flow's optimum gives them less)",
-    "weights/road_share": "share of the weight that lies on the road (road-and-rocks)",
+    "weights/road_share": "share of the weight of all data that lies on the road, 30 % of the map (road-and-rocks)",
     "weights/road_ratio": "mean weight on the road over mean weight on rocks, random data only",
     "behaviour/divergence": "KL of the current policy from the one that drew a row's action, at the row's state, nats (median)",
     "behaviour/policies": "historical policies that PDML tells apart",

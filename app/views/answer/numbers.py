@@ -43,8 +43,8 @@ OWN = (
 )
 LENGTHS = 2.0
 """a run is like the others if it has between half and twice their median number of steps"""
-FEW_NAMED, NAMED = 8, 3
-"""runs that are named in a line, not in its help; groups that a sentence names at most"""
+FEW_NAMED = 8
+"""runs that are named in a line, not in its help"""
 COLUMNS = {
     "one step": st.column_config.Column(
         "error, one step", help="interquartile mean over runs, 95 % bootstrap interval"
@@ -136,15 +136,9 @@ def verdict(result: Ranking) -> str:
     if np.isfinite(result.since):
         counted = f" from step {result.since:,.0f}{until or ' on'}"
     if not result.ranked:
-        counts = "; ".join(
-            f"{text.markdown(one.name)}: {_runs(one)}, typical error {short(one.typical)}"
-            for one in result.standings
-        )
-        if len(result.standings) > NAMED:
-            counts = f"the errors of {len(result.standings)} groups stand in the table below"
         return (
             f"**Too few seeds to rank** (two learners with {statistics.RANKED} seeds each are "
-            f"needed). Where the policy goes, one step ahead in the exams{counted}: {counts}."
+            f"needed). The table has the errors where the policy goes, in the exams{counted}."
         )
     first, second = result.ranked[:2]
     beats, p = result.first_beats_second, result.chance

@@ -46,23 +46,15 @@ EXAMS = {
 }
 ROAD_HEIGHT, SMALL_HEIGHT = 620, 360
 MOST_BESIDE = 3
-ERROR = "one-step error in full steps"
 ROAD_NUMBERS = {
-    "weight on the road": (
-        "weights/road_share", "of all data, the expert's too; the road is 30 % of the map",
-    ),
-    "road : rocks, random data": (
-        "weights/road_ratio",
-        "mean weight on the road over mean weight on the rocks, of the random data alone: the "
-        "expert's data, all of it on the road, does not count here",
-    ),
-    "error, expert data": ("model/error_expert", ERROR),
-    "error, road": ("model/error_road", ERROR),
-    "error, rocks": ("model/error_rocks", ERROR),
-    "planner return": ("planner/return", describe("planner/return")),
-    "policy return": ("eval/return", "mean return of the policy at this step"),
-}  # fmt: skip
-"""by their label: metric and explanation"""
+    "weight on the road": "weights/road_share",
+    "road : rocks, random data": "weights/road_ratio",
+    "error, expert data": "model/error_expert",
+    "error, road": "model/error_road",
+    "error, rocks": "model/error_rocks",
+    "planner return": "planner/return",
+    "policy return": "eval/return",
+}
 
 
 def page(scope: Scope) -> None:
@@ -180,17 +172,12 @@ def _exam(run: RunReader, fit: int) -> None:
     """What the exam of a fit means, or why it has none."""
     metrics = at_fit(readers.metrics(run), fit)
     if metrics:
-        said = ["This fit's exam is on the steps that its policy took next, which it had not seen.",
-                about_weights(metrics)]  # fmt: skip
-        if "exam/error" in metrics:
-            ahead = metrics.get("exam/rollout_error")
-            five = "" if ahead is None else f", after five steps by {short(ahead)}"
-            said.append(
-                f"One step ahead its model errs by {short(metrics['exam/error'])} standard "
-                f"deviations of a step's change{five}."
+        st.caption(
+            text.markdown(
+                "This fit's exam is on the steps that its policy took next, which it had not seen. "
+                f"{about_weights(metrics)} {of_which_weights(run.learner, run.settings)}"
             )
-        said.append(of_which_weights(run.learner, run.settings))
-        st.caption(text.markdown(" ".join(said)))
+        )
     else:
         st.caption(
             "No exam of this fit: it ends with the next one. Weights that a loop hands in, and "
@@ -385,9 +372,9 @@ def _road_numbers(run: RunReader) -> None:
     """What was last measured by each of the run's fits."""
     frame, steps = readers.metrics(run), road.steps(run)
     numbers = []
-    for label, (metric, words) in ROAD_NUMBERS.items():
+    for label, metric in ROAD_NUMBERS.items():
         at, values = curve_points(frame, metric)
         last = [float(values[at <= step][-1]) if (at <= step).any() else np.nan for step in steps]
         shown = percent if metric == "weights/road_share" else short
-        numbers.append((label, [shown(value) for value in last], words))
+        numbers.append((label, [shown(value) for value in last], describe(metric)))
     timeline.numbers(steps, numbers)

@@ -60,13 +60,16 @@ def test_a_footprint_that_its_noise_hides_is_not_shown(show: Show) -> None:
 
 def test_the_numbers_behind_are_those_of_the_exams(store: Path) -> None:
     app = numbers_behind(task=PENDULUM)
-    [said] = [part.value for part in app.markdown if "Too few seeds" in part.value]
+    assert any("Too few seeds" in part.value for part in app.markdown)
+    [shown] = [part.value for part in app.dataframe if "five steps" in part.value]
     # Only the last fits of TOM weigh, so only these count.
     tables = [RunReader(store / f"pendulum-tom-{seed}").metrics() for seed in (0, 1)]
     weighed = [table.loc[table["weights/ess"] < 1, "env_step"].tolist() for table in tables]
     assert weighed == [[300], [300]]
     last = [float(t.loc[t["env_step"] == 300, "exam/error"].max()) for t in tables]
-    assert f"TOM: 2 runs, 2 fits, typical error {np.mean(last):.3g}" in said
+    tom = shown.set_index("group").loc["TOM"]
+    assert (tom["runs"], tom["fits"]) == (2, 2)
+    assert tom["one step"].startswith(f"{np.mean(last):.4g} ")
     figure = next(f for f in figures(app) if trace_or_none(f, "mle"))
     fits = {(x, y) for t in figure["data"] if t.get("meta") == "tom" for x, y in points(t)}
     for step, error in zip(*recorded(store, PENDULUM_TOM, "exam/error"), strict=True):
