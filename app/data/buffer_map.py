@@ -11,7 +11,6 @@ from cachetools import LRUCache
 from numpy.typing import NDArray
 
 from app.data import buffer, columns, weighings
-from app.data.buffer import Rows
 from app.data.cache import LOCK, cached, offer
 from app.data.columns import AGE, DISTANCE, ERROR, ERROR_ROWS, RANK, WEIGHT, Column
 from app.data.readers import profiles, weighed
@@ -98,11 +97,6 @@ def others(run: RunReader) -> dict[str, Source]:
 def sources(run: RunReader) -> dict[str, Source]:
     """All weights of a run's buffer."""
     return ({} if isinstance(run, Dataset) else fits(run)) | others(run)
-
-
-def rows(run: RunReader, source: Source) -> Rows | None:
-    """The rows of these weights."""
-    return buffer.weighed_rows(run, source.weight, source.end)
 
 
 @cached("buffer")
@@ -273,7 +267,7 @@ def read_ahead(run: RunReader) -> None:
         return
     seen = weighed(run)
     own = list(fits(seen).values())
-    if own and rows(seen, last := own[-1]) is not None:
+    if own and buffer.weighed_rows(seen, (last := own[-1]).weight, last.end) is not None:
         for kind in (CONTRAST, PRINCIPAL):
             explained(seen, f"{kind}@{last.label}", last)
         placed(seen, f"{CONTRAST}@{last.label}")

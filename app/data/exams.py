@@ -90,7 +90,7 @@ class Standing:
     @property
     def typical(self) -> float:
         """The interquartile mean of the runs' errors; NaN if there are none."""
-        return middle(self.error).value
+        return interval(self.error, "iqm").value
 
 
 @dataclass(frozen=True)
@@ -176,11 +176,6 @@ def medians(runs: Sequence[Floats]) -> Floats:
     """The median of each run's numbers, without the runs that have none."""
     finite = [values[np.isfinite(values)] for values in runs]
     return np.array([np.median(values) for values in finite if len(values)], np.float64)
-
-
-def middle(values: Floats) -> Interval:
-    """The interquartile mean over runs (n,) with its bootstrap interval; NaN without any."""
-    return interval(values, "iqm")
 
 
 def at_fit(frame: pd.DataFrame, step: int) -> Mapping[str, float]:

@@ -97,9 +97,8 @@ def intervals(
     ticks = {"tickvals": list(range(len(lines))), "ticktext": words,
              "range": [-0.6, len(lines) - 0.4], "showgrid": False, "title": ""}  # fmt: skip
     marks = [upright(level, 1.2, "dash")]
-    styled(figure, axis, height, keep=keep, marks=marks, x_axis=x_axis, y_axis=ticks)
-    legend = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"}
-    return figure.update_layout(showlegend=len(series) > 1, legend=legend)
+    more = {"x_axis": x_axis, "y_axis": ticks, "showlegend": len(series) > 1}
+    return styled(figure, axis, height, keep=keep, marks=marks, **more)
 
 
 FEW, MORE = (0.03, 0.1, 0.3, 1, 3), (0.5, 0.7, 0.8, 0.9, 1, 1.2, 1.5, 2, 3)

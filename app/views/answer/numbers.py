@@ -12,14 +12,14 @@ from app.data import buffer, readers
 from app.data.buffer import Floats
 from app.data.cache import made_once
 from app.data.called import told_apart
-from app.data.exams import Exams, Ranking, Standing, exams_of, middle, ranking
+from app.data.exams import Exams, Ranking, Standing, exams_of, ranking
 from app.figures.curves import looks_of
 from app.figures.exams import errors_by_age, footprint_error_return
 from app.parts import widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from tom.analysis import statistics
-from tom.analysis.scores import counted_from
+from tom.analysis.scores import counted_from, interval
 from tom.analysis.settings import kinds_of
 from tom.config import SAC_ALONE
 from tom.readable import UNKNOWN, percent, short
@@ -167,7 +167,7 @@ def table(result: Ranking) -> pd.DataFrame:
     """One row per group: n, and interquartile means over its runs with 95 % bootstrap intervals."""
 
     def mean(values: Floats) -> str:
-        found = middle(values)
+        found = interval(values, "iqm")
         return str(found) if np.isfinite(found.value) else UNKNOWN
 
     return pd.DataFrame(

@@ -83,7 +83,7 @@ def draw(run: RunReader, fit: int) -> None:
         return
     top = st.columns(3, vertical_alignment="bottom")
     source = _pick_weights(run, sources, fit, top[0])
-    rows = buffer_map.rows(run, source)
+    rows = buffer.weighed_rows(run, source.weight, source.end)
     if rows is None:
         st.warning(UNREADABLE)
         return

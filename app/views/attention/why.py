@@ -201,7 +201,7 @@ def brush(run: RunReader, source: Source, mask: Mask) -> None:
     regions = {one.name: one for one in map(weighings.brushed, brushes) if one is not None}
     with st.container(border=True):
         st.markdown("**What if this region counted more, or less?**")
-        job = brushing(run)
+        job = f"Brush of {run.run_id}"
         _start(job, run, source, mask)
         # The newest is then shown, in place of an earlier one that was chosen.
         jobs.show(job, lambda: st.session_state.update(brush=""))
@@ -211,10 +211,6 @@ def brush(run: RunReader, source: Source, mask: Mask) -> None:
                 help="newest first; its weights can be chosen above under Weights of",
             )  # fmt: skip
             _brushed(run, regions[chosen])
-
-
-def brushing(run: RunReader) -> str:
-    return f"Brush of {run.run_id}"
 
 
 def command(

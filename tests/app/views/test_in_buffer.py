@@ -303,7 +303,7 @@ def of_fit(run: RunReader, fit: int = FIT) -> tuple[Rows, why.Why]:
 
 def asked(run: RunReader, fit: int = FIT) -> tuple[Rows, why.Why | str]:
     source = buffer_map.sources(run)[str(fit)]
-    rows = present(buffer_map.rows(run, source))
+    rows = present(buffer.weighed_rows(run, source.weight, source.end))
     return rows, why.why_of(run, rows, source)
 
 
@@ -317,7 +317,7 @@ def test_a_kept_fit_has_the_terms_of_its_weights(store: Path) -> None:
 def test_a_weighing_has_the_terms_of_its_weights(weighed: Path) -> None:
     run = info(weighed, PENDULUM_TOM)
     (source,) = buffer_map.others(run).values()
-    rows = present(buffer_map.rows(run, source))
+    rows = present(buffer.weighed_rows(run, source.weight, source.end))
     found = why.why_of(run, rows, source)
     assert isinstance(found, why.Why)
     for row in range(0, len(rows), 17):
