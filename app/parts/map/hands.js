@@ -256,7 +256,6 @@ function buildHead(root) {
   root.querySelector(".map-presets").replaceChildren(
     ...PRESETS.map(([words, intervals]) => {
       const button = element("button", "", words);
-      button.type = "button";
       button.onclick = () => choose(root, { intervals: intervals(), outline: null });
       return button;
     }),

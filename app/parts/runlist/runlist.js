@@ -31,7 +31,6 @@ function eye(root, word, name, hidden) {
   const button = make("button", "eye");
   const pen = { stroke: "currentColor", "stroke-width": 1.8, "stroke-linecap": "round" };
   button.append(drawing("0 0 24 24", 18, 18, (hidden ? [SHUT] : [OPEN, PUPIL]).map((d) => ({ d, ...pen }))));
-  button.type = "button";
   button.title = `${hidden ? "Show" : "Hide"} ${name} (Alt: show it alone)`;
   button.setAttribute("aria-label", `${hidden ? "Show" : "Hide"} ${name}`);
   button.onclick = ({ altKey }) => root.tell(altKey ? "alone" : "toggled", [word]);
@@ -54,7 +53,6 @@ function sparkline(values, colour) {
 function item(root, run, given) {
   const row = make("div", `run${run.hidden || given.hidden ? " off" : ""}${run.chosen ? " chosen" : ""}`);
   const name = make("button", "name", run.name);
-  name.type = "button";
   name.title = `${run.run_id}: ${run.state}`;
   if (run.chosen) name.setAttribute("aria-current", "true");
   name.onclick = () => root.tell("chosen", [run.run_id]);
@@ -71,7 +69,6 @@ function group(root, given) {
   const name = make("button", "name", given.title);
   const key = `${given.section} ${given.title}`;
   const open = root.folds.get(key) ?? given.runs.some(({ chosen }) => chosen);
-  name.type = "button";
   name.title = `${given.title}: ${open ? "fold its runs" : "show its runs"}`;
   name.setAttribute("aria-expanded", String(open));
   name.onclick = () => {
@@ -91,7 +88,6 @@ function group(root, given) {
 function folded(root, key, label, rows) {
   const open = root.folds.get(key) ?? false;
   const more = make("button", "more", label);
-  more.type = "button";
   more.setAttribute("aria-expanded", String(open));
   more.onclick = () => {
     root.folds.set(key, !open);
@@ -119,7 +115,6 @@ const called = (button) =>
 function draw(root) {
   const focused = root.contains(document.activeElement) ? called(document.activeElement) : "";
   const all = make("button", "all", "Show all");
-  all.type = "button";
   all.hidden = !root.sections.some(({ groups }) => groups.some((g) => g.hidden || g.runs.some((r) => r.hidden)));
   all.onclick = () => root.tell("everything", []);
   root.replaceChildren(...root.sections.map((given) => section(root, given)), all);
