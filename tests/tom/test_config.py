@@ -2,29 +2,12 @@ import numpy as np
 import pytest
 from common import online
 from gymnasium.spaces import Box
-from pydantic import ValidationError
 
-from tom.config import OnlineConfig, RolloutConfig, TomConfig, merged
+from tom.config import RolloutConfig, TomConfig, merged
 from tom.envs import task
 from tom.readable import flat, in_words
 from tom.training.plan import Plan, Trial, trials
 from tom.training.presets import resolve
-
-
-def test_an_unknown_name_and_a_value_out_of_bounds_are_errors():
-    config = OnlineConfig(env="hopper", learner="tom")
-    with pytest.raises(ValidationError):
-        config.but(sac={"discount": 2})
-    with pytest.raises(ValidationError):
-        config.but(model={"batch_size": -1})
-    with pytest.raises(ValidationError):
-        config.but(model={"batchsize": 1})
-
-
-def test_but_changes_one_value_of_a_group_and_keeps_the_others():
-    config = OnlineConfig(env="hopper", learner="tom").but(tom={"q_steps": 7})
-    assert config.tom.q_steps == 7
-    assert config.tom.discriminator_steps == TomConfig().discriminator_steps
 
 
 def test_the_papers_single_action_sample_is_a_preset_and_the_default_is_not():
@@ -39,10 +22,6 @@ def test_without_a_preset_tom_has_the_mended_objective_and_the_others_the_papers
     assert resolve(env, "tom") == resolve(env, "tom", "mended")
     for learner in ("mle", "pmac", "ratio", "vagram"):
         assert resolve(env, learner) == resolve(env, learner, "paper")
-
-
-def test_on_road_and_rocks_the_default_is_the_paper():
-    assert resolve("road-and-rocks", "tom") == resolve("road-and-rocks", "tom", "paper")
 
 
 def test_a_plan_without_a_preset_has_each_learners_own_and_its_run_is_that_of_the_preset():

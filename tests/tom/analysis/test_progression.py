@@ -28,12 +28,6 @@ def test_a_staircase_by_hand():
     assert report["zeros"] == 0
 
 
-def test_only_the_mean_weight_is_the_unit():
-    seven, one = progression(7 * stairs(), 50), progression(stairs(), 50)
-    assert seven["deciles"] == pytest.approx(one["deciles"])
-    assert seven["last_two"] == pytest.approx(one["last_two"])
-
-
 def test_weights_that_rise_at_the_very_end_only():
     weights = np.concatenate([np.full(95, 0.1), np.full(5, 20.0)])
     report = progression(weights, ordered_from=50)

@@ -56,13 +56,6 @@ def test_bad_input(arguments, named, capsys, tmp_path: Path, monkeypatch: pytest
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_store_that_is_a_file(capsys, tmp_path: Path):
-    store = tmp_path / "store"
-    store.write_text("not a folder")
-    refused([*TRAIN, "--store", str(store)], capsys, "--store")
-    assert store.read_text() == "not a folder"
-
-
 def test_a_run_id_that_is_taken(capsys, tmp_path: Path):
     arguments = [*TRAIN, "--steps", "50", "--store", str(tmp_path), "--run-id", "mine"]
     assert code_of(arguments) == 0

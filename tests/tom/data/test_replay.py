@@ -101,11 +101,3 @@ def test_behaves_as_a_list(capacity, operations, data):
     if model:
         index = torch.tensor(data.draw(st.lists(st.integers(0, len(model) - 1), max_size=8)))
         assert equal(buffer.gather(index.long()), held[index.long()])
-
-
-def test_whole_buffer_is_a_view_until_it_wraps():
-    buffer = ReplayBuffer(10, OBS_DIM, ACTION_DIM)
-    buffer.extend(rows(0, 4))
-    before = buffer.transitions()
-    assert before.obs.data_ptr() == buffer.transitions().obs.data_ptr()
-    assert before.obs.untyped_storage().data_ptr() == before.reward.untyped_storage().data_ptr()

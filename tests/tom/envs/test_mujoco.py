@@ -17,7 +17,6 @@ from gymnasium.wrappers import RecordEpisodeStatistics
 
 from tom.envs import ENV_NAMES, ENVS, scene, task
 from tom.envs.environment import capture, restore
-from tom.errors import UserError
 
 DIMENSIONS = {  # obs, action
     "inverted-pendulum": (4, 1),
@@ -38,8 +37,6 @@ def test_registry():
     assert set(ENVS) == set(DIMENSIONS)
     assert list(ENV_NAMES) == [*ENVS, "road-and-rocks"]
     assert task("ant") is ENVS["ant"]
-    with pytest.raises(UserError, match="did you mean 'hopper'"):
-        task("hoper")
 
 
 @pytest.mark.parametrize("name", ENVS)
@@ -87,19 +84,6 @@ def test_actions_of_one_reach_the_simulators_bounds_exactly(name):
         np.testing.assert_allclose(sim.data.ctrl, wanted, rtol=1e-6, atol=1e-7)
         assert (sim.data.ctrl >= low).all()
         assert (sim.data.ctrl <= high).all()
-
-
-def test_the_time_limit_truncates_and_does_not_terminate():
-    """In the task where termination is possible, too: a linear controller keeps the pole up."""
-    t = ENVS["inverted-pendulum"]
-    env = t.make()
-    obs, _ = env.reset(seed=0)
-    for step in range(1, 1001):
-        action = np.clip(obs @ [[0.2], [6.0], [0.4], [1.0]], -1, 1).astype(np.float32)
-        obs, _, terminated, truncated, _ = env.step(action)
-        assert not terminated
-        assert truncated == (step == 1000)
-        assert not t.terminated(torch.as_tensor(obs, dtype=torch.float32)[None]).item()
 
 
 @pytest.mark.parametrize("name", ENVS)
@@ -196,14 +180,8 @@ def test_geometry_is_where_mujoco_itself_puts_it(env: str):
 # Termination functions: both sides of every bound, and the environments' own answers
 
 NAN, INF = float("nan"), float("inf")
-HEALTHY = {
-    "inverted-pendulum": {},
-    "hopper": {0: 1.2},
-    "walker2d": {0: 1.2},
-    "halfcheetah": {},
-    "ant": {0: 0.7},
-    "humanoid": {0: 1.4},
-}
+HEALTHY = {"hopper": 1.2, "walker2d": 1.2, "ant": 0.7, "humanoid": 1.4}
+"""a height at which a robot has not fallen, its first observation"""
 # (task, dimension, value, does it end?)
 CASES = [
     *[("inverted-pendulum", 1, v, abs(v) > 0.2) for v in (0.199, 0.201, -0.199, -0.201)],
@@ -230,16 +208,10 @@ CASES = [
 ]
 
 
-def healthy(name: str) -> torch.Tensor:
-    obs = torch.zeros(ENVS[name].obs_dim)
-    for dimension, value in HEALTHY[name].items():
-        obs[dimension] = value
-    return obs
-
-
 @pytest.mark.parametrize(("name", "dimension", "value", "ends"), CASES)
 def test_both_sides_of_every_bound(name, dimension, value, ends):
-    obs = healthy(name).repeat(3, 1)
+    obs = torch.zeros(3, ENVS[name].obs_dim)
+    obs[:, 0] = HEALTHY.get(name, 0.0)
     obs[1, dimension] = value
     assert ENVS[name].terminated(obs).tolist() == [False, ends, False]
 

@@ -150,16 +150,6 @@ def test_what_a_validated_q_draws_does_not_depend_on_when_it_stops():
     assert torch.equal(*ends)
 
 
-def test_truncation_masks_nothing_and_termination_does():
-    replay = rows(64)
-    plain, truncated, terminated = (
-        weights_of(problem(r, policy=TwoActions()), net())
-        for r in (replay, ended(replay, "truncated"), ended(replay, "terminated"))
-    )
-    assert torch.equal(plain, truncated)
-    assert not torch.allclose(plain, terminated)
-
-
 def test_the_exact_expectation_weighs_every_action_by_its_probability():
     replay, q = rows(64), net()
     found = problem(replay, QUICK.but(discount=0.9), TwoActions())

@@ -22,12 +22,6 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     matmul.use(before)
 
 
-def test_a_machine_is_probed_once(kept: Path):
-    first = matmul.choose_matmul()
-    assert json.loads(kept.read_text()) == asdict(first)
-    assert matmul.choose_matmul() == first  # times and all: nothing was measured anew
-
-
 def test_another_torch_or_another_cpu_is_another_machine(
     kept: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -3,15 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import torch
 
 from tom.envs import ENVS
 from tom.policy.collect import Evaluator
-
-
-def still(action_dim: int):
-    return lambda obs: torch.zeros(len(obs), action_dim)
 
 
 def test_episodes_are_complete_and_consistent():
@@ -66,10 +61,9 @@ def test_replaying_the_actions_in_one_environment_gives_the_recorded_episode():
                 assert ended == [last and e.terminated, last and e.truncated]
 
 
-@pytest.mark.parametrize("limit", [1000, 37])
-def test_the_time_limit_is_the_tasks_own_and_truncates(limit):
-    task = replace(ENVS["halfcheetah"], max_episode_steps=limit)
-    (episode,) = Evaluator(task, 1).run(still(6), seed=0)
-    assert episode.length == limit
+def test_the_time_limit_is_the_tasks_own_and_truncates():
+    task = replace(ENVS["halfcheetah"], max_episode_steps=37)
+    (episode,) = Evaluator(task, 1).run(lambda obs: torch.zeros(len(obs), 6), seed=0)
+    assert episode.length == 37
     assert episode.truncated
     assert not episode.terminated

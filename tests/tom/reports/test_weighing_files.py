@@ -3,11 +3,7 @@
 import json
 from pathlib import Path
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
-
-from tom.reports.weighing_files import REPORT, WEIGHTS, copy_small, notices, of_run
+from tom.reports.weighing_files import REPORT, notices, of_run
 
 WHOLE = {"data": "one", "policy": "one", "rows": 3, "results": []}
 
@@ -25,15 +21,6 @@ def test_what_is_no_whole_report_on_a_run_is_none_of_its_weighings(tmp_path: Pat
     weighing(tmp_path, "other", {**WHOLE, "data": "two"})
     weighing(tmp_path, "list", [WHOLE])
     assert of_run(tmp_path, "one") == [whole]
-
-
-def test_a_second_figure_is_not_copied(tmp_path: Path):
-    whole = weighing(tmp_path / "store", "whole", WHOLE)
-    pq.write_table(pa.table({"mle-s0": np.ones(3, np.float32)}), whole / WEIGHTS)
-    for figure in ("profile.png", "profile.svg"):
-        (whole / figure).touch()
-    (copy,) = copy_small(tmp_path / "store", "one", tmp_path / "out")
-    assert sorted(path.name for path in copy.iterdir()) == ["profile.png", REPORT, WEIGHTS]
 
 
 def test_what_holds_for_several_seeds_is_told_once():
