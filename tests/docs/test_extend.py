@@ -180,5 +180,5 @@ def test_an_installed_package_is_loaded_and_a_broken_one_left_out(home: Path):
 def test_a_plugin_that_cannot_be_used_is_one_line(home: Path, content: str | None, named: str):
     if content is not None:
         (home / "own.py").write_text(content)
-    fails("train --env odd --learner mle --plugin own.py", home, named)
+    fails("train --env odd --learner mle --steps 9 --plugin own.py", home, named)
     assert not (home / "runs").exists()
