@@ -13,17 +13,12 @@ import pytest
 import torch
 from faults import config, ended, one_line, tom, train_command
 
-from tom.config import OnlineConfig, SacRecordingConfig, TomConfig
-from tom.data.transitions import Transitions
+from tom.config import OnlineConfig, SacRecordingConfig
 from tom.envs import ENVS, task
 from tom.errors import DivergedError
-from tom.events import Metrics
-from tom.learners.tom import occupancy_weights
-from tom.policy.stored import UniformPolicy
 from tom.record import RunReader, Store
 from tom.training.resume import resume
 from tom.training.run import train
-from tom.training.watch import Watch
 
 pytestmark = pytest.mark.fault
 
@@ -75,34 +70,6 @@ def test_modelled_rollouts_that_explode__goes_on_and_says_so(tmp_path: Path):
     made = config(steps=30, exploration_steps=1, fit_every=5)
     run = warned(tmp_path, made, "rollout-exploded")
     assert np.nanmax(run.metrics()["rollout/exploded"].to_numpy(float)) > 0.5
-
-
-@pytest.mark.quick
-def test_a_discriminator_that_separates_perfectly__weights_stay_finite_and_the_run_says_so():
-    rng = np.random.default_rng(0)
-
-    def rows(centre: float, n: int) -> Transitions:
-        obs = rng.normal(centre, 0.1, (n, 3)).astype(np.float32)
-        action, flags = rng.uniform(-1, 1, (n, 2)).astype(np.float32), np.zeros(n, bool)
-        return Transitions(obs, action, np.zeros(n, np.float32), obs, flags, flags)
-
-    replay, policy_rows = rows(0.0, 400), rows(50.0, 100)
-    small = {"discriminator_hidden": 32, "q_hidden": 32}
-    changes = {**small, "discriminator_steps": 60, "q_steps": 20, "discriminator_lr": 1e-2}
-    found = occupancy_weights(
-        replay,
-        policy_rows,
-        UniformPolicy(3, 2),
-        np.asarray(replay.obs)[:10],
-        TomConfig().but(**changes),
-        torch.Generator().manual_seed(0),
-    )
-    assert found.metrics["discriminator/accuracy"] == 1.0
-    assert torch.isfinite(found.weights).all()
-    assert float(found.weights.mean()) == pytest.approx(1.0, abs=1e-4)
-    [notice] = Watch(config("tom")).check(Metrics(80, dict(found.metrics)))
-    assert notice.kind == "perfect-discriminator"
-    assert "--tom.label-smoothing" in notice.message
 
 
 @pytest.mark.quick

@@ -19,7 +19,5 @@ def test_why_something_failed_in_one_line(error: Exception, line: str):
 
 def test_an_unknown_name_offers_the_nearest_if_one_is_near():
     known = ("mle", "pmac", "tom")
-    assert str(unknown("learner", "PMACS", known)) == (
-        "unknown learner 'PMACS': did you mean 'pmac'? Known: mle, pmac, tom"
-    )
+    assert "did you mean 'pmac'" in str(unknown("learner", "PMACS", known))
     assert "did you mean" not in str(unknown("learner", "zzzz", known))

@@ -17,24 +17,21 @@ HUP, TERM, INT = signal.SIGHUP, signal.SIGTERM, signal.SIGINT
 SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", "--steps", "20")
 
 
-@pytest.fixture
-def heard() -> list[int]:
-    return []
-
-
 @pytest.mark.parametrize(
-    ("sent", "requests"),
+    ("of_hup", "sent", "requests"),
     [
-        ((INT, INT), 2),
-        ((HUP, HUP), 1),  # a terminal that closes
-        ((TERM, HUP), 1),  # the end of a session
-        ((HUP, TERM), 1),
-        ((TERM, TERM), 1),  # from a batch system and from the sweep
-        ((TERM, INT), 2),
+        (signal.SIG_DFL, (INT, INT), 2),
+        (signal.SIG_DFL, (HUP, HUP), 1),  # a terminal that closes
+        (signal.SIG_DFL, (TERM, HUP), 1),  # the end of a session
+        (signal.SIG_DFL, (HUP, TERM), 1),
+        (signal.SIG_DFL, (TERM, TERM), 1),  # from a batch system and from the sweep
+        (signal.SIG_DFL, (TERM, INT), 2),
+        (signal.SIG_IGN, (HUP,), 0),  # nohup stays nohup
     ],
 )
-def test_only_ctrl_c_hurries(sent: tuple[int, ...], requests: int, heard: list[int]):
-    before = signal.signal(HUP, signal.SIG_DFL)  # the tests may run under nohup
+def test_only_ctrl_c_hurries(of_hup: signal.Handlers, sent: tuple[int, ...], requests: int):
+    heard: list[int] = []
+    before = signal.signal(HUP, of_hup)  # the tests may run under nohup
     try:
         with on_stopping(lambda number, _: heard.append(number)):
             for number in sent:
@@ -42,16 +39,6 @@ def test_only_ctrl_c_hurries(sent: tuple[int, ...], requests: int, heard: list[i
     finally:
         signal.signal(HUP, before)
     assert len(heard) == requests
-
-
-def test_nohup_stays_nohup(heard: list[int]):
-    before = signal.signal(HUP, signal.SIG_IGN)
-    try:
-        with on_stopping(lambda number, _: heard.append(number)):
-            signal.raise_signal(HUP)
-    finally:
-        signal.signal(HUP, before)
-    assert heard == []
 
 
 def test_ctrl_c_while_the_modules_are_imported_is_one_line():

@@ -72,15 +72,11 @@ def test_ends_that_have_no_weight_are_learnt_without_weights_and_that_is_said():
     assert head.threshold == plain.threshold
 
 
-def the_held_out_and_the_others(n: int) -> tuple[torch.Tensor, torch.Tensor]:
-    return EndingHead(3, CONFIG, generator())._split(rows(n), n)
-
-
 def test_an_end_that_is_held_out_teaches_nothing():
     data = rows(3000, ends=False)
-    held, _ = the_held_out_and_the_others(3000)
-    data.terminated[held[100]] = 1
     head = EndingHead(3, CONFIG, generator(1))
+    held, _ = head._split(data, 3000)
+    data.terminated[held[100]] = 1
     metrics, notices = head.fit(data, torch.ones(3000), 3000, generator(2))
     assert metrics == {"model/ends_threshold": NEVER}
     assert notices == ()

@@ -54,15 +54,10 @@ class Off:
         return self.known_nll
 
 
-def exam_of(rows: TensorTransitions, buffer: TensorTransitions | None = None) -> Exam:
-    buffer = line(40) if buffer is None else buffer
-    return Exam(buffer, torch.ones(len(buffer)), rows)
-
-
 def judged(model: Off, rows: TensorTransitions, limit: float = 98.0) -> dict[str, float]:
     return model_metrics(
         model,  # pyright: ignore[reportArgumentType]
-        exam_of(rows),
+        Exam(line(40), torch.ones(40), rows),
         lambda next_obs: next_obs[:, 0] > limit,
         generator(),
     )

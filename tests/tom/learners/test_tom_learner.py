@@ -4,23 +4,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from common import generator
+from common import generator, online
 from made import ACTION, OBS, QUICK, context, rows, uniform_policy
 
 from tom.config import TomConfig
 from tom.data.transitions import Transitions
+from tom.events import Metrics
 from tom.learners.base import Weighting
 from tom.learners.tom import TomLearner, occupancy_weights
-from tom.studies.mdp import (
-    OccupancyProblem,
-    OneHotPolicy,
-    random_mdp,
-    random_policy,
-    sample_starts,
-    sample_transitions,
-    solve,
-    transition_occupancy,
-)
+from tom.studies.tabular_estimates import Case, Variant, estimate
+from tom.training.watch import Watch
 
 
 def learner(config: TomConfig = QUICK) -> TomLearner:
@@ -80,6 +73,19 @@ def test_q_goes_on_from_fit_to_fit_unless_reset():
         assert steps == QUICK.q_steps * (1 if reset else 2)
 
 
+@pytest.mark.fault
+@pytest.mark.quick
+def test_a_discriminator_that_separates_perfectly__weights_stay_finite_and_the_run_says_so():
+    config = QUICK.but(q_steps=20, discriminator_lr=1e-2)
+    found = weigh(rows(400), rows(100, seed=1, shift=50.0), config)
+    assert found.metrics["discriminator/accuracy"] == 1.0
+    assert torch.isfinite(found.weights).all()
+    assert float(found.weights.mean()) == pytest.approx(1.0, abs=1e-4)
+    [notice] = Watch(online("hopper", "tom")).check(Metrics(80, dict(found.metrics)))
+    assert notice.kind == "perfect-discriminator"
+    assert "--tom.label-smoothing" in notice.message
+
+
 @pytest.mark.parametrize("bias", [1e6, float("nan")])
 def test_unusable_weights_fall_back_to_uniform_and_are_told(bias):
     tom = learner()
@@ -131,26 +137,9 @@ SMALL = {
 
 @pytest.mark.parametrize(("divergence", "support"), [("chi2", True), ("kl", True), ("chi2", False)])
 def test_estimates_exact_weights_of_a_small_mdp(divergence, support):
-    rng = np.random.default_rng(0)
-    mdp = random_mdp(5, 2, 2, 0.9, rng)
-    target, behaviour = random_policy(mdp, rng), random_policy(mdp, rng, uniform=0.3)
-    q = transition_occupancy(mdp, behaviour)
-    problem = OccupancyProblem.of(mdp, target, q)
-    buffer, index = sample_transitions(mdp, q, 20_000, rng)
-    policy_rows, _ = sample_transitions(mdp, transition_occupancy(mdp, target), 5000, rng)
-    policy = OneHotPolicy(torch.from_numpy(target).float())
-    config = TomConfig.preset("exact").but(discount=0.9, divergence=divergence, **SMALL)
-    found = occupancy_weights(
-        buffer,
-        policy_rows,
-        policy if support else policy.__call__,
-        torch.from_numpy(sample_starts(mdp, 1000, rng)),
-        config.but(action_samples=5),
-        generator(),
-    )
-    exact = np.zeros(q.shape)
-    exact[problem.index] = solve(problem, divergence).weights
-    expected = exact[tuple(index.T)]
-    assert np.abs(found.weights.numpy() - expected).mean() < (0.12 if support else 0.25)
-    assert np.corrcoef(found.weights.numpy(), expected)[0, 1] > 0.95
-    assert found.metrics["weights/raw_mean"] == pytest.approx(1.0, abs=0.05)
+    case = Case(0, 2, 0.9, divergence, states=5, actions=2, replay=20_000, uniform=(0.0, 0.3))
+    changes = {**SMALL, "action_samples": 5}
+    found = estimate((case, Variant("small", changes=changes, support=support)))
+    assert found.row["l1"] < (0.12 if support else 0.25)
+    assert found.row["spearman"] > 0.95
+    assert found.row["raw_mean"] == pytest.approx(1.0, abs=0.05)

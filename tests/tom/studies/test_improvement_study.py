@@ -20,12 +20,9 @@ from tom.studies.improvement import improved, summary, verdict
 from tom.studies.study import Row
 
 
-def arrays_of(run: RunReader) -> dict:
-    return dict(read_arrays(run.path / layout.policy(moments(run, 1)[0])))
-
-
 def test_sac_goes_on_with_the_stored_networks(run: RunReader):
-    arrays, config = arrays_of(run), OnlineConfig.model_validate(run.config["config"]).sac
+    arrays = dict(read_arrays(run.path / layout.policy(moments(run, 1)[0])))
+    config = OnlineConfig.model_validate(run.config["config"]).sac
     policy = StoredPolicy(arrays)
     sac = resumed_sac(policy, config, 0.25, torch.Generator().manual_seed(0))
     for name, array in policy_arrays("hopper", sac).items():

@@ -65,11 +65,6 @@ def collected(seed: int, flow: FlowName, successors: int = 3) -> OccupancyProble
     return OccupancyProblem.of(mdp, target, q, flow, p)
 
 
-def on_ends(problem: OccupancyProblem, mass: Array) -> float:
-    """The share of a mass (R,) that lies on transitions into the last state, where paths end."""
-    return float(mass[problem.index[2] == problem.index[2].max()].sum() / mass.sum())
-
-
 def test_about_the_share_of_steps_that_was_asked_for_ends():
     for share in (0.01, 0.1):
         found = []
@@ -150,7 +145,8 @@ def test_strong_duality_of_every_flow_where_episodes_end(flow: FlowName, seed: i
 def test_kl_leaves_nothing_on_ends_where_a_flow_loses_mass_there():
     """Normalised weights satisfy a discounted flow only where nothing ends."""
     problem = collected(0, "discounted")
-    assert on_ends(problem, problem.replay * solve(problem, "kl").weights) < 1e-6
+    mass = problem.replay * solve(problem, "kl").weights
+    assert mass[problem.index[2] == problem.index[2].max()].sum() / mass.sum() < 1e-6
 
 
 def test_a_discounted_flow_fades_the_policys_own_stream_along_the_episode():
