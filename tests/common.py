@@ -75,6 +75,18 @@ def change(file: Path, **values: object) -> None:
     replace_json(file, json.loads(file.read_text()) | values, sync=False)
 
 
+def cut(file: Path) -> None:
+    """Leave the first half of a file."""
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+def flip(file: Path, at: int) -> None:
+    """Change a bit of the byte at this place."""
+    content = bytearray(file.read_bytes())
+    content[at] ^= 1
+    file.write_bytes(content)
+
+
 def stopping_at(step: int) -> tuple[Stop, tuple[Callable[[Event], None]]]:
     """A stop, and the watcher of a training that asks for it at an env step, once."""
     stop = Stop()
@@ -98,6 +110,16 @@ def reloaded(state: Any) -> Any:
     torch.save(state, file)
     file.seek(0)
     return torch.load(file, weights_only=True)
+
+
+class Evil:
+    """Creates a file when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
 
 
 @contextmanager

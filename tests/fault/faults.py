@@ -1,7 +1,6 @@
 """Trainings of seconds for the fault tests, in this process or in one that may be killed."""
 
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -94,10 +93,6 @@ def go_on(path: Path, run_id: str, steps: int, rerun: bool) -> None:
             resume(store, run_id, steps, rerun=rerun, watchers=(watch,))
         else:
             train(config("tom", steps=steps), store, run_id, rerun=rerun, watchers=(watch,))
-
-
-def kill(pid: int) -> None:
-    os.kill(pid, signal.SIGKILL)
 
 
 def one_line(error: str) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from common import change
+from common import Evil, change, cut, flip
 from faults import config, stopped
 from same_records import assert_same_record
 
@@ -46,10 +46,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-
-
 def problems(store: Store) -> str:
     store.runs()
     return "\n".join(store.problems)
@@ -58,9 +54,7 @@ def problems(store: Store) -> str:
 def test_a_damaged_checkpoint__is_named_and_the_one_before_used_to_the_same_end(store: Store):
     folder = store.path / "stopped" / checkpoint.FOLDER
     newest = folder / f"{checkpoint.newest(folder):09d}"
-    content = bytearray((newest / "state.pt").read_bytes())
-    content[len(content) // 2] ^= 1
-    (newest / "state.pt").write_bytes(content)
+    flip(newest / "state.pt", (newest / "state.pt").stat().st_size // 2)
     done = resume(store, "stopped", rerun=False)
     assert any(newest.name in text for text in done.status.warnings)
     assert (done.path / "damaged" / checkpoint.FOLDER / newest.name).is_dir()
@@ -106,14 +100,19 @@ def fail(
 
 @pytest.mark.quick
 @pytest.mark.parametrize(
-    ("folder", "fault"), [("buffer", errno.EIO), (checkpoint.FOLDER, errno.EACCES)]
+    ("name", "folder", "fault"),
+    [
+        ("open", "buffer", errno.EIO),
+        ("open", checkpoint.FOLDER, errno.EACCES),
+        ("listdir", "buffer", errno.ESTALE),  # it is not taken for an empty one
+    ],
 )
 def test_a_disk_that_cannot_be_read_for_now__resume_says_so_and_touches_nothing(
-    store: Store, monkeypatch: pytest.MonkeyPatch, folder: str, fault: int
+    store: Store, monkeypatch: pytest.MonkeyPatch, name: str, folder: str, fault: int
 ):
     run = store.path / "stopped"
     before = sorted(path for path in run.rglob("*") if path.is_file())
-    fail(monkeypatch, "open", run / folder, fault)
+    fail(monkeypatch, name, run / folder, fault)
     with pytest.raises(TryLaterError) as error:
         resume(store, "stopped", rerun=False)
     assert folder in str(error.value)
@@ -123,17 +122,6 @@ def test_a_disk_that_cannot_be_read_for_now__resume_says_so_and_touches_nothing(
     )
     monkeypatch.undo()
     assert sorted(path for path in run.rglob("*") if path.is_file()) == before
-    assert resume(store, "stopped", rerun=False).status.state == "finished"
-
-
-@pytest.mark.quick
-def test_a_buffer_that_cannot_be_listed_for_now__is_not_taken_for_an_empty_one(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-):
-    fail(monkeypatch, "listdir", store.path / "stopped" / "buffer", errno.ESTALE)
-    with pytest.raises(TryLaterError):
-        resume(store, "stopped", rerun=False)
-    monkeypatch.undo()
     assert resume(store, "stopped", rerun=False).status.state == "finished"
 
 
@@ -243,16 +231,6 @@ def test_the_source__unpickles_and_evaluates_nothing():
             if name in ("pd.read_pickle", "np.memmap"):
                 pytest.fail(where)
             assert keywords.get("shell", "False") == "False", where
-
-
-class Evil:
-    """Creates a file when it is unpickled."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self):
-        return (Path.touch, (self.path,))
 
 
 @pytest.mark.quick

@@ -16,7 +16,6 @@ from faults import (
     config,
     ended,
     go_on,
-    kill,
     one_line,
     stopped,
     tom,
@@ -53,8 +52,7 @@ def killed_often(path: Path, kills: int, *, rerun: bool) -> RunReader:
         target = begun + int(rng.integers(1, 25))
         wait_until(lambda p=process, t=target: done(store) >= t or not p.is_alive())
         process.join(float(rng.exponential(0.004)))  # anywhere within a step
-        if process.pid is not None and process.is_alive():
-            kill(process.pid)
+        process.kill()
         process.join()
         assert process.exitcode == -signal.SIGKILL
         check(truth, store, done(store))

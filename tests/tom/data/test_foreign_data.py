@@ -1,7 +1,6 @@
 """Data of other programs in their true layouts, made here: read, or refused in one line."""
 
 import json
-import os
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -13,7 +12,7 @@ import pyarrow as pa
 import pyarrow.dataset
 import pyarrow.parquet as pq
 import pytest
-from common import one_line
+from common import Evil, one_line
 
 from tom.data.datasets import initial_obs
 from tom.data.datasets import read_dataset as read_recording
@@ -172,19 +171,13 @@ def test_damaged_and_foreign_files_are_one_line(tmp_path: Path, columns: Columns
         refused(tmp_path / f"{name}{suffix}")
 
 
-class Trap:
-    def __reduce__(self):
-        return os.mkdir, ("trapped",)
-
-
-def test_pickles_are_not_loaded(tmp_path: Path, columns: Columns, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.chdir(tmp_path)
-    trap = np.array([Trap()] * N, object)
+def test_pickles_are_not_loaded(tmp_path: Path, columns: Columns):
+    trap = np.array([Evil(tmp_path / "executed")] * N, object)
     refused(npz(tmp_path / "a.npz", columns | {"obs": trap}), "allow_pickle")
     for name in ("buffer.pkl", "model.zip", "buffer.pt", "rows.csv"):
         (tmp_path / name).write_bytes(b"anything")
         refused(tmp_path / name, r"\.npz")
-    assert not (tmp_path / "trapped").exists()
+    assert not (tmp_path / "executed").exists()
 
 
 # Minari

@@ -1,13 +1,12 @@
 """Policies of other libraries: TorchScript, ONNX and functions, asked as our own are."""
 
-import os
 from pathlib import Path
 
 import numpy as np
 import onnx
 import pytest
 import torch
-from common import generator, one_line
+from common import Evil, generator, one_line
 from onnx import TensorProto, helper
 from torch import Tensor
 
@@ -39,13 +38,12 @@ def saved(path: Path, network: torch.nn.Module) -> str:
 
 def exported(path: Path, outputs: int, rows: str | int = "n") -> str:
     """An ONNX file whose every output is the observations' first dimensions."""
-    width = ACTIONS
     given = helper.make_tensor_value_info("obs", TensorProto.FLOAT, [rows, OBS])
     names = [f"out{i}" for i in range(outputs)]
-    limits = [("start", [0]), ("end", [width]), ("axis", [1])]
+    limits = [("start", [0]), ("end", [ACTIONS]), ("axis", [1])]
     constants = [helper.make_tensor(n, TensorProto.INT64, [1], v) for n, v in limits]
     slices = [helper.make_node("Slice", ["obs", "start", "end", "axis"], [n]) for n in names]
-    made = [helper.make_tensor_value_info(n, TensorProto.FLOAT, [rows, width]) for n in names]
+    made = [helper.make_tensor_value_info(n, TensorProto.FLOAT, [rows, ACTIONS]) for n in names]
     graph = helper.make_graph(slices, "policy", [given], made, constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
     onnx.save(model, str(path))
@@ -148,15 +146,11 @@ def test_a_function_of_numpy_arrays(tmp_path: Path, monkeypatch):
         load("absent:act")
 
 
-class Trap:
-    def __reduce__(self):
-        return os.mkdir, ("trapped",)
-
-
 def test_files_that_are_no_policy_are_one_line(tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    torch.save({"a": Trap()}, tmp_path / "checkpoint.pt")
-    torch.save(Trap(), tmp_path / "old.pth", _use_new_zipfile_serialization=False)
+    evil = Evil(tmp_path / "executed")
+    torch.save({"a": evil}, tmp_path / "checkpoint.pt")
+    torch.save(evil, tmp_path / "old.pth", _use_new_zipfile_serialization=False)
     (tmp_path / "text.onnx").write_text("hello")
     for name in ("checkpoint.pt", "old.pth"):
         with pytest.raises(UserError, match=f"{name} is no TorchScript file"):
@@ -165,7 +159,7 @@ def test_files_that_are_no_policy_are_one_line(tmp_path: Path, monkeypatch):
         load("text.onnx")
     with pytest.raises(UserError, match=r"no policy at absent\.pt"):
         load("absent.pt")
-    assert not (tmp_path / "trapped").exists()
+    assert not (tmp_path / "executed").exists()
 
 
 def test_what_is_not_foreign(tmp_path: Path):

@@ -64,6 +64,12 @@ def events() -> list[Event]:
     return found
 
 
+def files(folder: Path) -> dict[str, bytes]:
+    """The content of all files but those whose names begin with a dot."""
+    found = [p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")]
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in found}
+
+
 def logged(path: Path, entity: str) -> pd.DataFrame:
     """What a Rerun recording holds at `entity`: a row a time, `env_step` and the components."""
     chunks = [chunk for chunk in RrdReader(path).stream() if chunk.entity_path == f"/{entity}"]

@@ -7,7 +7,7 @@ from urllib.request import Request, urlopen
 
 import pytest
 from common import change, present
-from recorded import events
+from recorded import events, files
 
 from tom.errors import UserError
 from tom.record import RunReader, Store, checkpoint, layout, manage
@@ -21,12 +21,6 @@ pytestmark = pytest.mark.slow
 @pytest.fixture
 def bucket(bucket_url: str) -> Bucket:
     return Bucket.open(bucket_url)
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    """The content of all files but those whose names begin with a dot."""
-    found = [p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")]
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in found}
 
 
 @pytest.mark.quick

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from common import present
+from common import cut, flip, present
 
 from tom.record import checkpoint
 
@@ -29,15 +29,11 @@ def test_round_trip_and_only_two_are_kept(tmp_path: Path):
 def test_a_damaged_checkpoint_is_named_and_the_previous_one_used(tmp_path: Path, damage: str):
     checkpoint.save(tmp_path, 1, state(1))
     path = checkpoint.save(tmp_path, 2, state(2))
-    content = (path / "state.pt").read_bytes()
-    middle = len(content) // 2
     match damage:
         case "flip":
-            flipped = bytes([content[middle] ^ 1])
-            content = content[:middle] + flipped + content[middle + 1 :]
-            (path / "state.pt").write_bytes(content)
+            flip(path / "state.pt", (path / "state.pt").stat().st_size // 2)
         case "truncate":
-            (path / "state.pt").write_bytes(content[:middle])
+            cut(path / "state.pt")
         case "no manifest":
             (path / "manifest.json").unlink()
         case "newer schema":

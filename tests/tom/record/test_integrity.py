@@ -5,8 +5,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from common import change
-from recorded import Config, events
+from common import change, cut, flip
+from recorded import Config, events, files
 
 from tom.errors import UserError
 from tom.record import RunReader, Store, checkpoint, manage
@@ -16,30 +16,20 @@ from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
 
 
-def truncate(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-20])
-
-
-def contents(run: Path) -> dict[Path, bytes]:
-    """Every file but the one that names the last writer, which a repair is."""
-    files = (path for path in run.rglob("*") if path.is_file() and path.name != ".writer")
-    return {path: path.read_bytes() for path in files}
-
-
 @pytest.mark.parametrize("copied", [False, True])
 def test_a_whole_run_has_no_problems_and_nothing_to_repair(record, copied: bool):
     run = record()
     if copied:  # its files in any order
         os.utime(run.path / "metrics.jsonl")
     assert verify(run) == []
-    before = contents(run.path)
+    before = files(run.path)
     assert repair(run) == []
-    assert contents(run.path) == before
+    assert files(run.path) == before
 
 
 def test_a_damaged_array_is_named_and_set_aside(record):
     run, name = record(), "episodes/000000500.npz"
-    truncate(run.path / name)
+    cut(run.path / name)
     damaged = (run.path / name).read_bytes()
     (problem,) = verify(run)
     assert name in problem
@@ -96,10 +86,10 @@ def test_pruning_checkpoints(record, tmp_path: Path):
     each = [sum(p.stat().st_size for p in path.iterdir()) for path in folders()]
     assert manage.prune(run, keep=1, dry_run=True) == sum(each[1:])
     assert len(folders()) == 3
-    truncate(folders()[0] / checkpoint.STATE)
+    cut(folders()[0] / checkpoint.STATE)
     assert manage.prune(run, keep=1) == each[2]
     assert [p.name for p in folders()] == ["000000300", "000000200"]
-    truncate(folders()[1] / checkpoint.STATE)
+    cut(folders()[1] / checkpoint.STATE)
     assert manage.prune(run, keep=1) == 0, "none is whole: a part of one may be saved by hand"
 
 
@@ -110,12 +100,6 @@ def test_the_model_of_a_small_copy_is_read_too(record):
     state.write_bytes(state.read_bytes()[:-1])
     (problem,) = verify(run)
     assert problem.startswith("model ")
-
-
-def flip(path: Path, at: int) -> None:
-    content = bytearray(path.read_bytes())
-    content[at] ^= 1
-    path.write_bytes(content)
 
 
 def test_a_changed_bit_of_a_finished_run_is_found_by_its_digest(record):

@@ -7,14 +7,10 @@ import sys
 
 import numpy as np
 import pytest
-from common import change
+from common import change, cut
 from recorded import FIT, STEPS
 
 from tom.record import RunReader
-
-
-def cut(path) -> None:
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
 
 def problem(run: RunReader) -> str:
