@@ -85,6 +85,11 @@ def trashed(store: Path | str) -> list[str]:
         return []
 
 
+def loop(run: RunReader) -> RunReader:
+    """The run itself: of live weights that of the loop, whose returns and policies these are."""
+    return RunReader(run.home)
+
+
 def reader(run: RunReader) -> RunReader:
     """Another reader of the run's folder, with problems of its own."""
     return RunReader(run.path)

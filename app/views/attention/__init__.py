@@ -235,7 +235,7 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
     left, right = st.columns([3, 2])
     with left, st.container(border=True, height="stretch"):
         st.markdown("**Every fit**: weight by age, newest on top, and the returns")
-        mode, loop = session.mode(), RunReader(run.home)  # whose returns live weights go with
+        mode, loop = session.mode(), readers.loop(run)
 
         def drawn() -> Drawn:
             returns = widgets.curve(loop, "eval/return")

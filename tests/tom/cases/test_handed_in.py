@@ -92,7 +92,7 @@ def test_lost_terminations_are_counted():
 def test_a_version_of_the_policy_is_used():
     data = loaded(good() | {"policy_version": np.arange(N) // 100})
     assert data.policy_version.tolist() == (np.arange(N) // 100).tolist()
-    assert loaded(good()).policy_version.tolist() == list(range(N))
+    assert loaded(good()).policy_version.tolist() == list(range(1, N + 1))
 
 
 def test_actions_of_another_scale_are_noticed():
