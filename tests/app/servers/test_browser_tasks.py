@@ -167,7 +167,7 @@ def test_every_learner_weighs_one_buffer(page: "Page", own_store: Path) -> None:
     page.goto(f"/attention?run={PENDULUM_TOM}")
     take(page, "Every learner on one buffer")
     press(page.get_by_role("button", name="Weigh", exact=True))
-    page.get_by_text("What the weights come to").wait_for(timeout=3000 * DRAWN_S)
+    page.get_by_text("The weights in numbers").wait_for(timeout=3000 * DRAWN_S)
     reports = [json.loads(path.read_text()) for path in own_store.glob("weighings/*/report.json")]
     assert sum("brush" not in report for report in reports) == 1
 
