@@ -21,6 +21,8 @@ from app.servers import viewers
 from tom.analysis.imagine import stored_model
 from tom.record.reader import RunReader
 
+RUNS = Path(__file__).parents[3] / "runs"
+
 pytestmark = pytest.mark.usefixtures("studio")
 
 
@@ -182,6 +184,13 @@ def test_runs_stand_side_by_side_with_their_returns_and_weights(store: Path) -> 
         assert array(drawn["z"]).shape[::-1] == profiles.bins.shape
     app.multiselect(key="side").set_value(chosen[:1]).run()
     assert not figures(app)
+
+
+def test_runs_that_keep_their_episodes_are_the_first_to_stand_side_by_side(show: Show) -> None:
+    show(RUNS)
+    chosen = draw("replays", task="hopper", part="Side by side").multiselect(key="side").value
+    assert len(chosen) > 1
+    assert all(RunReader(RUNS / run_id).evaluation_steps() for run_id in chosen)
 
 
 def test_a_car_looks_where_it_drives() -> None:
