@@ -96,8 +96,7 @@ class Run:
         step = self.fit(step)
         weight = self.reader.snapshot(step)["weight"].to_numpy(np.float32)
         record = self.reader.buffer()[0]
-        # Offline data is complete from the first step on; online, each step adds a row.
-        end = len(record) if self.reader.env == ROAD else self.reader.profiles().rows_at(step)
+        end = self.reader.profiles().rows_at(step)
         if not len(weight) <= end <= len(record):
             raise UserError(
                 f"run {self.name} does not keep its buffer of step {step}"
@@ -112,8 +111,7 @@ class Run:
         more |= _errors(self.reader, rows)
         for path in weighing_files.of_run(self.reader.home.parent, self.name):
             made = read_weighing(path)
-            at = made.report.get("step") or len(record)
-            same = made.report["rows"] == len(weight) and at == end
+            same = (made.report["rows"], made.report["end"]) == (len(weight), end)
             if same and not weighing_files.is_brush(made.report):
                 more |= {name: made.weights[name].to_numpy() for name in map(str, made.weights)}
         return row_table(record, weight, end, names, more)
@@ -312,9 +310,7 @@ def read_weighing(path: Path) -> Weighing:
     if run is None:
         return Weighing(report, weights.loc[:, kept], None, (), distance)
     recorded = run.buffer()[0].numpy()
-    # A step counts a run's rows; those in the folder are the weighed ones alone.
-    whole = in_folder or report.get("step") is None
-    end = len(weights) if whole else int(report["step"])
+    end = report["end"]
     rows = recorded[end - len(weights) : end] if len(weights) <= end <= len(recorded) else None
     of = None if in_folder else run
     return Weighing(report, weights.loc[:, kept], rows, _obs_names(run), distance, of)

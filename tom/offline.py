@@ -207,7 +207,7 @@ class Offline:
     def record(self) -> Iterator[Event]:
         """The current weights, model and trajectories."""
         step = self.env_step
-        yield self.weighting.event(step)
+        yield self.weighting.event(step, rows=len(self.data.rows))
         yield Field(step, "model", model_field(self.data.road_map, self.model))
         yield Field(step, "trajectories", trajectory_field(self.data.demonstrations, self.episodes))
 

@@ -137,9 +137,7 @@ def with_states(run: RunReader) -> Recorded:
 def rows(run: RunReader, step: int) -> Rows | None:
     """The replay buffer at the fit of `step`, with that fit's weights; None if it is damaged."""
     weight = fit_weight(run, step)
-    # Offline data is complete from the first step on; online, each step adds a row.
-    end = len(recorded(run).rows) if run.env == ROAD else profiles(run).rows_at(step)
-    return weighed_rows(run, weight, end)
+    return weighed_rows(run, weight, profiles(run).rows_at(step))
 
 
 def weighed_rows(run: RunReader, weight: NDArray, end: int) -> Rows | None:

@@ -46,6 +46,7 @@ class Source:
 
     label: str
     weight: NDArray[np.float32]
+    step: int | None  # of that buffer; None: of all rows that there were
     end: int
     version: object
     learner: str
@@ -71,11 +72,11 @@ def fits(run: RunReader) -> dict[str, Source]:
 
 def _fit(run: RunReader, step: int, length: int) -> Source | None:
     weight = buffer.fit_weight(run, step)
-    end = length if run.env == ROAD else profiles(run).rows_at(step)
+    end = profiles(run).rows_at(step)
     if not 0 < len(weight) <= end <= length:
         return None
     version = run.version("snapshot", step), run.has_policy(step)
-    return Source(str(step), weight, end, version, run.learner)
+    return Source(str(step), weight, step, end, version, run.learner)
 
 
 def others(run: RunReader) -> dict[str, Source]:
@@ -84,7 +85,14 @@ def others(run: RunReader) -> dict[str, Source]:
     made, brushes = (weighings.of_run(run, length, brush=brush) for brush in (False, True))
     return {
         label: Source(
-            label, weight, weighing.end, weighing.written, learner, weighing, f"{learner}-s{seed}"
+            label,
+            weight,
+            weighing.step,
+            weighing.end,
+            weighing.written,
+            learner,
+            weighing,
+            f"{learner}-s{seed}",
         )
         for weighing in (*made[:WEIGHINGS], *brushes[:WEIGHINGS])
         for (learner, seed), weight in weighing.weights().items()
@@ -104,7 +112,7 @@ def distances(run: RunReader, source: Source) -> buffer.Floats | None:
     """The distance (N,) of each row's action to the policy of these weights; None if not known."""
     if source.weighing is not None:
         return source.weighing.policy_distance
-    policy = buffer.stored_policy(run, int(source.label))
+    policy = buffer.stored_policy(run, source.step)
     rows = buffer.recorded(run).rows[source.first : source.end].torch()
     return None if policy is None else policy_distances(policy.mean, rows).astype(np.float64)
 
@@ -113,7 +121,7 @@ def knows_policy(run: RunReader, source: Source) -> bool:
     """Whether `distances` may be known. Reads no policy of a run."""
     if source.weighing is not None:
         return source.weighing.policy_distance is not None
-    return run.env != ROAD and run.has_policy(int(source.label))
+    return run.env != ROAD and run.has_policy(source.step)
 
 
 @dataclass(frozen=True)

@@ -140,14 +140,9 @@ class Weighing:
         return sentence(self.report.get("card", {}))
 
     @property
-    def counted_by_step(self) -> bool:
-        """Whether a run's `step` counts its rows, which its folder does not hold."""
-        return self.step is not None and ROWS not in self.report
-
-    @property
     def end(self) -> int:
         """The number of the transition after the last weighed one, of the run or of its rows."""
-        return self.report["step"] if self.counted_by_step else self.rows
+        return self.report["end"]
 
     @property
     def policy(self) -> str:
@@ -166,13 +161,13 @@ class Weighing:
 
     def missing(self, rows: int) -> str:
         """In words, what it leaves out of a buffer of `rows` transitions; empty if nothing."""
-        if self.counted_by_step:
+        if self.rows == rows:
+            return ""
+        if self.step is not None:
             return (
                 f"It weighs the {self.rows:,} transitions that the buffer held at step "
                 f"{self.step:,}, of {rows:,} that were collected."
             )
-        if self.rows == rows:
-            return ""
         return (
             f"It weighs the first {self.rows:,} of now {rows:,} transitions: the run has gone on "
             "since."
@@ -285,6 +280,7 @@ def live_weights(run: RunReader) -> list[Weighing]:
     weights = {
         name: live.snapshot(step)["weight"].to_numpy(copy=True) for name, live in found.items()
     }
+    rows = max(map(len, weights.values()))
     results = [
         {"learner": name, "seed": run.seed}
         | {part: of.get(f"exam/{part}") for part in ("footprint", "footprint_se")}
@@ -292,7 +288,7 @@ def live_weights(run: RunReader) -> list[Weighing]:
     ]
     report = {
         "data": run.run_id, "policy": run.run_id, "step": step, "results": results,
-        "rows": max(map(len, weights.values())), "ordered_from": 0, "preset": "of tom train",
+        "rows": rows, "end": rows, "ordered_from": 0, "preset": "of tom train",
         "medians": {name: medians([progression(of, 0)]) for name, of in weights.items()},
     }  # fmt: skip
     columns = {f"{name}-s{run.seed}": of for name, of in weights.items()}

@@ -168,21 +168,22 @@ class Rollouts:
     own: bool  # whether the policy is that of the step that was asked for, not the run's last
 
 
-def rollouts(run: RunReader, rows: Rows, row: int, step: int) -> Rollouts | str:
+def rollouts(run: RunReader, rows: Rows, row: int, step: int | None) -> Rollouts | str:
     """Rollouts from a row by the policy of `step`, or by the run's last if that was not kept.
 
     A text with the reason if there are none.
     """
     policy_step = step if run.has_policy(step) else None
+    own = policy_step is not None or rows.first + len(rows) == buffer.length(run)
     if run.env not in ENVS:
         return f"they are drawn for the built-in tasks, and {run.env} is none of them"
     if not run.has_policy(policy_step):
         return "the policy of this fit was not kept, and the run has no last one"
-    return _rollouts(run, step, rows.first + row, policy_step)
+    return _rollouts(run, rows.first + row, policy_step, own)
 
 
 @cached("model", "policies", "buffer")
-def _rollouts(run: RunReader, step: int, row: int, policy_step: int | None) -> Rollouts | str:
+def _rollouts(run: RunReader, row: int, policy_step: int | None, own: bool) -> Rollouts | str:
     known, kept = task(run.env), buffer.stored_model(run)
     if isinstance(kept, str):
         return kept
@@ -197,7 +198,6 @@ def _rollouts(run: RunReader, step: int, row: int, policy_step: int | None) -> R
     paths = why.rollouts(
         kept.predictor, policy, known.terminated, start, STEPS, ROLLOUTS, generator
     )
-    own = policy_step is not None or step == buffer.length(run)
     return Rollouts(paths.numpy().astype(np.float64), kept.env_step, own)
 
 

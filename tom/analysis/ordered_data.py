@@ -29,7 +29,7 @@ class OrderedData:
     a version of its own, as in SAC, which changes after every step. `behaviour` (N, 2 A) is the
     Gaussian of each action (`ReplayBuffer.behaviour`), None if nobody says. `initial_obs` (M0, O)
     are the first observations of the episodes; `card` is that of the ordered rows. `stored`: the
-    rows belong to the run `name` in the store.
+    rows belong to the run `name` in the store, those before row `end` of its record.
     """
 
     name: str
@@ -39,6 +39,7 @@ class OrderedData:
     initial_obs: Tensor
     card: Card
     ordered_from: int  # rows before it are random data
+    end: int
     stored: bool = False
     policy_distance: NDArray[np.float32] | None = None
     """(N,) to the policy of interest (`tom.policy.stored.distances`), once there is one"""
@@ -111,6 +112,7 @@ def _of_dataset(name: str, env: str) -> OrderedData:
         initial_obs=torch.as_tensor(initial_obs(rows)),
         card=of_task(recording.card, known, rows),
         ordered_from=0,
+        end=len(rows),
         behaviour=None if behaviour is None else torch.from_numpy(behaviour),
     )
 
@@ -169,10 +171,11 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
         random_rows = int(run.config.get("ordered_from", 0))
     kept = slice(None)
     if step is not None:
-        if not run.fits_model or not 0 < step <= len(rows):
+        end = run.rows_at(step)
+        if not run.fits_model or not 0 < end <= len(rows):
             has = f"{len(rows)} steps" if run.fits_model else "no fits of a model"
             raise UserError(f"run {run.run_id} has {has}: --step {step} is none of them")
-        kept = slice(max(step - int(settings.get("replay_capacity", len(rows))), 0), step)
+        kept = slice(max(end - int(settings.get("replay_capacity", len(rows))), 0), end)
     starts = initial_obs(rows[: kept.stop])  # also of episodes whose rows have left the buffer
     rows, version, behaviour = rows[kept], version[kept], behaviour[kept]
     random_rows -= kept.start or 0
@@ -188,6 +191,7 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
         initial_obs=torch.as_tensor(starts),
         card=card,
         ordered_from=first,
+        end=(kept.start or 0) + len(rows),
         stored=run.is_run,  # a weighing's folder also holds rows
         behaviour=torch.from_numpy(behaviour) if np.isfinite(behaviour).any() else None,
     )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tom.analysis import brush
 from tom.analysis.brush import FACTORS, SMALL, BrushedFit
-from tom.analysis.ordered_data import find_run, of_run
+from tom.analysis.ordered_data import OrderedData, find_run, of_run
 from tom.analysis.weighing import load_policy, made_anew
 from tom.cli.output import put_out
 from tom.cli.parser import add_json, add_store
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     if reader is None:
         raise UserError(f"no run '{args.run_name}' in {store.path}/: name one of `tom runs list`")
     data = of_run(reader, args.step)
-    region = _region(args.rows, reader, args.step, len(data))
+    region = _region(args.rows, data, args.step)
     weights = _weights(args.weighing, reader, store, args.step)
     if len(weights) != len(data):
         raise UserError(
@@ -101,6 +101,7 @@ def run(args: argparse.Namespace) -> int:
         "rows": len(data),
         "ordered_from": data.ordered_from,
         "step": args.step,
+        "end": data.end,
         weighing_files.BRUSH: {
             "of": args.weighing or "own",
             "fresh": 0 if fresh is None else len(fresh),
@@ -114,21 +115,21 @@ def run(args: argparse.Namespace) -> int:
     return put_out(args, {"out": str(out)}, [str(out)])
 
 
-def _region(path: Path, reader: RunReader, step: int, count: int) -> NDArray[np.bool_]:
-    """The rows listed in the file, by their numbers in the run's record, as a mask (count,)."""
+def _region(path: Path, data: OrderedData, step: int) -> NDArray[np.bool_]:
+    """The rows listed in the file, by their numbers in the run's record, as a mask (N,)."""
     try:
         numbers = np.array(path.read_text().split(), np.int64)
     except (OSError, ValueError, OverflowError) as error:
         raise UserError(
             f"--rows {path}: {reason(error)}; write row numbers into it, one a line"
         ) from None
-    first = step - count
-    if not len(numbers) or numbers.min() < first or numbers.max() >= step:
+    first = data.end - len(data)
+    if not len(numbers) or numbers.min() < first or numbers.max() >= data.end:
         raise UserError(
-            f"--rows {path}: the buffer of run {reader.run_id} at step {step} holds the rows "
-            f"{first} to {step - 1}: name some of these"
+            f"--rows {path}: the buffer of run {data.name} at step {step} holds the rows "
+            f"{first} to {data.end - 1}: name some of these"
         )
-    region = np.zeros(count, bool)
+    region = np.zeros(len(data), bool)
     region[numbers - first] = True
     return region
 

@@ -121,8 +121,13 @@ class Weighting:
             return None
         return mixed_with_uniform(self.row_weights, config.uniform_share)
 
-    def event(self, env_step: int, policy: Mapping[str, NDArray] | None = None) -> Weights:
-        """The event for a fit with these weights; `policy` as in `Weights`."""
+    def event(
+        self,
+        env_step: int,
+        policy: Mapping[str, NDArray] | None = None,
+        rows: int | None = None,
+    ) -> Weights:
+        """The event for a fit with these weights; `policy` and `rows` as in `Weights`."""
 
         def array(x: Tensor) -> FloatArray:
             return x.to("cpu", torch.float32).numpy()
@@ -136,6 +141,7 @@ class Weighting:
             if self.terms is None
             else {name: array(term) for name, term in self.terms.recorded().items()},
             policy=policy,
+            rows=rows,
         )
 
 

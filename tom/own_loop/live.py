@@ -126,9 +126,9 @@ class _Live:
 
     def weigh(self, rows: Transitions, version: NDArray, policy: dict[str, Any]) -> None:
         """Record the exam of the last fit, and the weights of rows (N,) of these versions (N,)."""
-        replay, n = rows.torch(), len(rows)
-        if self._fitted is not None and n > self._fitted.env_step:
-            exam = Exam.of(self._fitted, replay, n - self._fitted.env_step)
+        replay, n, step = rows.torch(), len(rows), int(version.max())
+        if self._fitted is not None and n > len(self._fitted.weights):
+            exam = Exam.of(self._fitted, replay, n - len(self._fitted.weights))
             metrics = footprint_metrics(exam, self.streams.torch("exam"))
             self.recorder.consume(Metrics(self._fitted.env_step, metrics))
         stored = StoredPolicy(policy)
@@ -148,22 +148,22 @@ class _Live:
             value_gradient=stored.value_gradient,
         )
         weighting = self._learner.weigh(context)
-        self._fitted = Fitted(n, weighting.counted(ModelConfig()))
+        self._fitted = Fitted(step, weighting.counted(ModelConfig()))
         shape = weight_metrics(weighting.weights)
         shape |= ending_metrics(replay, context.policy_buffer, weighting.weights)
-        events: list[Event] = [weighting.event(n, policy)]
-        events.append(Metrics(n, {**weighting.metrics, **shape, "buffer/size": float(n)}))
-        events += [Notice(n, code, text) for code, text in weighting.notices]
+        events: list[Event] = [weighting.event(step, policy, rows=n)]
+        events.append(Metrics(step, {**weighting.metrics, **shape, "buffer/size": float(n)}))
+        events += [Notice(step, code, text) for code, text in weighting.notices]
         if stored.value_gradient is None and follows_value(self.config.learner):
-            events.append(Notice(n, *NO_CRITICS))
-        for event in (*events, Tick(n, "weigh")):
+            events.append(Notice(step, *NO_CRITICS))
+        for event in (*events, Tick(step, "weigh")):
             self.recorder.consume(event)
 
 
 def follow(source: RunReader, learners: Sequence[str], every: int, began_at: int) -> None:
     """Weigh the buffer of the run `source` until the run ends, and once more then.
 
-    What was recorded of a buffer beyond `began_at` rows is of a loop that was cut back, and goes.
+    Weights of rows handed in after step `began_at` are of a loop that was cut back, and go.
     """
     writer = source.status.pid
     with ExitStack() as stack:
@@ -178,6 +178,7 @@ def follow(source: RunReader, learners: Sequence[str], every: int, began_at: int
             rows, steps = source.buffer_length(), source.policy_steps()
             due = rows - last >= every if running else rows > last
             if due and steps:
+                recorded = source.buffer()
                 skipped = (rows - last) // every - 1 if last else 0
                 if skipped > 0:
                     text = (
@@ -185,10 +186,9 @@ def follow(source: RunReader, learners: Sequence[str], every: int, began_at: int
                         f"the loop takes more than {every} steps; weigh less often"
                     )
                     for live in lives:
-                        live.recorder.consume(Notice(rows, "behind", text))
+                        live.recorder.consume(Notice(int(recorded[1].max()), "behind", text))
                 begun = time.monotonic()
                 policy = read_arrays(source.path / layout.policy(steps[-1]))
-                recorded = source.buffer()
                 last = len(recorded[0])
                 for live in lives:
                     live.weigh(*recorded, policy)

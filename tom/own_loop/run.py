@@ -120,16 +120,14 @@ class OwnRun:
             settings = OwnLoopConfig(env=known.name, learner=OWN_LOOP, **chosen)
         except ValidationError as error:
             raise UserError(invalid_value(error)) from None
-        before = RunReader(place.resolve(name)).buffer()[1]
         self._recorder = opened(place, name, settings, resume, step)
         self.name, self.path, self.closed = name, self._recorder.writer.path, False
         numbers = RunReader(self.path).buffer()[1]
         handed = int(numbers.max(initial=0)) if step is None or not len(numbers) else step
         self._known, self._strict = known, strict
         self._rows = Rows(known, envs, autoreset, handed, numbers)
-        gone = np.flatnonzero(before > (np.inf if step is None else step))
-        self.began_at = int(gone[0]) if len(gone) else len(before)
-        """rows of the record, the first ones, that stay as they were before the loop went on"""
+        self.began_at = handed
+        """the step from which the loop goes on"""
         self._step, self._returned = 0, -1  # the last that was named, and with eval/return
         self._flushed = time.monotonic()
         self._policy: tuple[int, Arrays] | None = None

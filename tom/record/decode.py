@@ -127,6 +127,7 @@ class Profiles:
     rows: NDArray[np.int64]  # (F,) rows recorded so far; the buffer is the newest `count` of them
 
     def rows_at(self, step: int) -> int:
+        """The rows recorded at the fit of `step`; without such a fit each step adds a row."""
         found = self.rows[self.env_step == step]
         return int(found[-1]) if len(found) else step
 
@@ -140,8 +141,13 @@ def profiles_of(rows: Sequence[Mapping[str, Any]]) -> Profiles:
         count=np.array([row["count"] for row in rows], np.int64),
         ess=np.array([row["ess"] for row in rows], np.float64),
         zeros=np.array([row["zeros"] for row in rows], np.float64),
-        rows=np.array([row.get("rows", row["env_step"]) for row in rows], np.int64),
+        rows=np.array([_rows_of(row) for row in rows], np.int64),
     )
+
+
+def _rows_of(row: Mapping[str, Any]) -> int:
+    # Older runs on data that is complete from the first step on do not say how much it is.
+    return row.get("rows", max(row["env_step"], row["count"]))
 
 
 def numbers(row: Mapping[str, Any]) -> dict[str, float]:

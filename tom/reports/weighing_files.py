@@ -60,11 +60,15 @@ SEGMENT_BYTES = 64 * 2**20
 
 
 def read_report(path: Path) -> dict[str, Any]:
-    """The report of the weighing in the folder `path`. Raises OSError, or ValueError if damaged."""
+    """The report of the weighing in the folder `path`. Raises OSError, or ValueError if damaged.
+
+    `end` is the number of the row after the last weighed one, in the run's record or the folder's.
+    """
     report = read_json(path / REPORT)
     if lacking := {"data", "policy", "rows", "results"}.difference(report):
         raise ValueError(f"the report has no {' and no '.join(sorted(lacking))}")
-    return report
+    older = report["rows"] if ROWS in report else report.get("step") or report["rows"]
+    return {"end": older, **report}
 
 
 def reports(store: Path) -> list[tuple[Path, dict[str, Any]]]:
@@ -195,6 +199,7 @@ def report(
         "data": data.name,
         "env": data.env,
         "rows": len(data),
+        "end": data.end if data.stored else len(data),
         "card": card(data.card, weighed).described(),
         "ordered_from": data.ordered_from,
         **({} if data.stored else {ROWS: rows_digest(data)}),

@@ -72,7 +72,7 @@ def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None
         widgets.metrics(numbers, {"heavier than": "of the buffer"})
         if isinstance(found, str):
             st.info(f"No sum: {text.markdown(found)}.", icon=":material/functions:")
-            _offer(run, rows)
+            _offer(run, source.step)
         else:
             left, right = st.columns([3, 2])
             with left:
@@ -94,7 +94,7 @@ def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None
             with right:
                 _neighbours(run, rows, found, row)
         if run.env != ROAD:
-            _rollouts(run, rows, row)
+            _rollouts(run, rows, row, source.step)
 
 
 def _pick(rows: Rows) -> None:
@@ -111,7 +111,7 @@ def _pick(rows: Rows) -> None:
         chosen = st.number_input(
             "Number of the transition", rows.first, rows.first + len(rows) - 1, value=None, key=KEY,
             placeholder="none yet", width=260,
-            help="its row in the run's record, counted from 0: one less than its step",
+            help="its row in the run's record, counted from 0",
         )  # fmt: skip
         for name, row in suggested.items():
             at = rows.first + int(row or 0)
@@ -140,10 +140,9 @@ def _neighbours(run: RunReader, rows: Rows, found: Why, row: int) -> None:
     )
 
 
-def _rollouts(run: RunReader, rows: Rows, row: int) -> None:
+def _rollouts(run: RunReader, rows: Rows, row: int, step: int | None) -> None:
     st.markdown("**The rollouts that start there**")
     begun = reasons.starts(run, rows, row)
-    step = rows.first + len(rows)
     if begun is not None:
         here, usual = begun
         st.caption(
@@ -172,12 +171,11 @@ def _rollouts(run: RunReader, rows: Rows, row: int) -> None:
     )
 
 
-def _offer(run: RunReader, rows: Rows) -> None:
+def _offer(run: RunReader, step: int | None) -> None:
     """Offer to weigh the buffer of this step again, with its terms.
 
     Not where that would run code of the user's, which a page never starts.
     """
-    step = rows.first + len(rows)
     if run.env == ROAD or is_code(run.env) or step not in run.policy_steps():
         return
     words = ["weigh", run.argument, "--policy", run.argument, "--step", str(step)]
@@ -246,7 +244,8 @@ def _start(job: str, run: RunReader, source: Source, mask: Mask) -> None:
         with NamedTemporaryFile("w", prefix="tom-brush-", suffix=".txt", delete=False) as file:
             np.savetxt(file, source.first + np.flatnonzero(mask), fmt="%d")
         store = session.links().store
-        words = command(run.argument, file.name, source.end, source.option, factors, store)
+        step = run.step_of(source.end) if source.step is None else source.step
+        words = command(run.argument, file.name, step, source.option, factors, store)
         # The file goes with the record of its reader, or with the studio.
         finalize(jobs.start(job, words), Path(file.name).unlink, missing_ok=True)
 

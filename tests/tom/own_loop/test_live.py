@@ -7,8 +7,10 @@ import pytest
 from kernel import wait_for
 from loops import loaded
 
+import tom
 from tom.data.unpack import read_arrays
 from tom.errors import UserError
+from tom.frames import Weighing
 from tom.own_loop.live import _Live, weigh_live
 from tom.own_loop.run import OwnRun, record
 from tom.record import RunReader, layout
@@ -123,15 +125,32 @@ def test_a_run_that_goes_on_is_weighed_from_there(tmp_path: Path):
     assert found.reader.snapshot_steps() == fits
 
 
-def test_live_weights_of_rows_that_were_cut_out_of_the_record_go(tmp_path: Path):
-    # The first environment's episodes are ten times as long, so its rows are recorded later.
-    def hand_in_until(run: OwnRun, step: int) -> None:
-        while run.step < step:
-            obs, no, t = np.full((2, 3), run.step / 10), np.zeros(2, bool), run.step // 2
-            ended = np.array([t % 100 == 99, t % 10 == 9])
-            run.transitions(obs, np.zeros((2, 1)), np.zeros(2), obs + 0.1, no, ended)
-        run.policy(run.step, act)
+def hand_in_unevenly(run: OwnRun, until: int) -> None:
+    """Two environments' rows; those of the first, with episodes of 100, are recorded later."""
+    while run.step < until:
+        obs, no, t = np.full((2, 3), run.step / 10), np.zeros(2, bool), run.step // 2
+        ended = np.array([t % 100 == 99, t % 10 == 9])
+        run.transitions(obs, np.zeros((2, 1)), np.zeros(2), obs + 0.1, no, ended)
+    run.policy(run.step, act)
 
+
+def test_a_loop_is_weighed_with_the_rows_that_were_handed_in_by_a_step(tmp_path: Path):
+    with record("mine", env="Pendulum-v1", store=tmp_path, envs=2) as run:
+        for step in (150, 300):
+            hand_in_unevenly(run, step)
+    handed = RunReader(run.path).buffer()[1]
+    weighing = tom.weigh("mine", "mine", store=tmp_path, step=150, learners=["mle"], footprint=50)
+    rows = weighing.transitions
+    # The second environment's; the first one's were recorded after later ones of the second.
+    assert handed[:76].tolist() == [*range(2, 153, 2)]
+    assert len(rows) == weighing.report["end"] == 75
+    weighing.save(tmp_path / "weighings" / "made")
+    again = tom.load(tmp_path / "weighings" / "made")
+    assert isinstance(again, Weighing)
+    assert again.transitions.equals(rows)
+
+
+def test_live_weights_of_rows_that_were_cut_out_of_the_record_go(tmp_path: Path):
     def weigh(live: _Live) -> None:
         source = RunReader(tmp_path / "mine")
         policy = read_arrays(source.path / layout.policy(source.policy_steps()[-1]))
@@ -141,12 +160,15 @@ def test_live_weights_of_rows_that_were_cut_out_of_the_record_go(tmp_path: Path)
         live = _Live(RunReader(run.path), "pmac", 100, run.began_at)
         with live.recorder:
             for step in (180, 300):
-                hand_in_until(run, step)
+                hand_in_unevenly(run, step)
                 weigh(live)
-        assert RunReader(live.recorder.writer.path).snapshot_steps() == [90, 250]
+        found = RunReader(live.recorder.writer.path)
+        # The second environment's rows of 18 episodes; 300 hands in the first one's as well.
+        assert found.snapshot_steps() == [180, 300]
+        assert found.profiles().rows.tolist() == [90, 250]
     resume = {"resume": "auto", "step": 260}
     with record("mine", env="Pendulum-v1", store=tmp_path, envs=2, **resume) as run:
         assert run.step == 260
         live = _Live(RunReader(run.path), "pmac", 100, run.began_at)
         with live.recorder:  # of the 250 rows that were weighed some had a number above 260
-            assert RunReader(live.recorder.writer.path).snapshot_steps() == [90]
+            assert RunReader(live.recorder.writer.path).snapshot_steps() == [180]
