@@ -4,6 +4,7 @@ The data may be a run's replay buffer or a dataset. The policy may come from a r
 come from another library. The policy's footprint is collected in the real environment.
 """
 
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -49,6 +50,8 @@ POLICIES = (
     "a run (id or folder), its policy.npz, a TorchScript (.pt) or ONNX file, a function "
     f"module:name, or {RANDOM}"
 )
+PAST_WARM_UP = sys.maxsize
+"""on-policy steps of recorded data: every learner weighs it at once"""
 OWN, EXACT = "own", "exact"
 PRESETS = (OWN, EXACT, "paper", "mended", "released")
 """the run's own settings, TOM's `exact` ones, or the learners' of a training's preset"""
@@ -134,7 +137,7 @@ def weigh(
         ours, judges = (episodes.transitions.torch() for episodes in (made, fresh))
         for name in learners:
             own = config.but(learner=name, seed=seed)
-            weighting = fit_weights(data, policy, ours, max(len(ours), *_warmups(own)), own)
+            weighting = fit_weights(data, policy, ours, PAST_WARM_UP, own)
             event, generator = weighting.event(0), Streams(seed).torch("exam")
             counted = weighting.counted(of_model(own))  # as in the exam of a training's fit
             yield Weighed(
@@ -148,13 +151,6 @@ def weigh(
                 match=footprint_match(rows, counted, judges, scaling, generator),
                 terms=dict(event.terms),
             )
-
-
-def _warmups(config: RunConfig) -> list[int]:
-    """The on-policy steps after which learners begin to weigh; recorded data is past them."""
-    groups = (getattr(config, group, None) for group in setting_groups())
-    known = (getattr(group, "warmup", None) for group in groups)
-    return [steps for steps in known if isinstance(steps, int)]
 
 
 def made_anew(

@@ -46,7 +46,7 @@ class Shape:
     size: Floats  # capsules, cylinders (G, 2): radius, half length; others (G, 3): half sizes
     color: Floats  # (G, 4)
     center: Floats  # (H, G, 3)
-    axis: Floats  # (H, G, 3) the geom's z axis
+    axis: Floats  # (H, G, 3) the geom's z axis; of a box its longest
     quaternion: Floats  # (H, G, 4) x, y, z, w
 
     @property
@@ -116,7 +116,8 @@ def geometry(mj: MjModel, qpos: NDArray) -> Geometry:
         center[i], matrix[i] = data.geom_xpos, data.geom_xmat
         body[i], root[i] = data.xquat, data.xpos[min(1, mj.nbody - 1)]
     quaternion = _product(body[:, mj.geom_bodyid], mj.geom_quat)[..., [1, 2, 3, 0]]
-    axis = matrix[..., 2::3]
+    long = np.where(mj.geom_type == BOX, mj.geom_size.argmax(1), 2)[:, None, None]
+    axis = np.take_along_axis(matrix.reshape(frames, -1, 3, 3), long[None], 3)[..., 0]
     sphere, planes = mj.geom_type[:, None] == SPHERE, np.flatnonzero(mj.geom_type == PLANE)
 
     def shape(kinds: tuple[int, ...], size: NDArray) -> Shape:

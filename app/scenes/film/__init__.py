@@ -143,14 +143,19 @@ def _policy(known: Task, model: Model, reader: RunReader) -> list[dict[str, Any]
 def body(model: Model, qpos: NDArray) -> dict[str, Any]:
     """A MuJoCo task's robot at joint positions (H, nq), as JSON; the floor is at height 0.
 
-    G parts have a radius (G,) and ends (H, G, 2, 3); those of a sphere coincide.
+    Its G parts are drawn as thick lines: a radius (G,) and ends (H, G, 2, 3), in a ball's centre.
     """
     shapes = geometry.geometry(model.mj, qpos)
-    capsules, round_ = shapes.capsules, shapes.ellipsoids
-    half = capsules.axis * capsules.size[:, 1:2]
-    ends = np.stack([capsules.center - half, capsules.center + half], 2)
-    ends = np.concatenate([ends, np.repeat(round_.center[:, :, None], 2, 2)], 1)
-    radius = np.concatenate([capsules.size[:, 0], round_.size.mean(1)])
+    (radius, half), (tube, tall) = shapes.capsules.size.T, shapes.cylinders.size.T
+    balls, boxes = shapes.ellipsoids.size.mean(1), np.sort(shapes.boxes.size, 1)
+    thick = boxes[:, :2].mean(1)
+    radius = np.concatenate([radius, balls, tube, thick])
+    half = np.concatenate([half, 0 * balls, np.maximum(tall - tube, 0), boxes[:, 2] - thick])
+    center, axis = (
+        np.concatenate([getattr(shape, name) for shape in shapes.shapes], 1)[:, :, None]
+        for name in ("center", "axis")
+    )
+    ends = center + axis * half[:, None, None] * np.array([[-1], [1]])
     lowest = float((ends[..., 2] - radius[:, None]).min()) if ends.size else 0.0
     ends[..., 2] -= lowest if shapes.floor is None else shapes.floor
     return {

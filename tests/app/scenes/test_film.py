@@ -5,6 +5,7 @@ import re
 import shutil
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from studio_pages import draw
@@ -14,7 +15,7 @@ from app.data import readers
 from app.scenes.film import body, cinema, ghosts, may_be_told, story
 from app.servers.cinema import opened, video
 from tom.envs import task
-from tom.envs.scene import model
+from tom.envs.scene import Model, model
 from tom.errors import UserError
 from tom.record.manage import label
 from tom.record.reader import RunReader
@@ -48,6 +49,19 @@ def test_robots_stand_on_the_floor_as_the_simulator_has_them() -> None:
     highest = (ends[0, ..., 2] + radius).max()
     assert lowest == pytest.approx(0, abs=110)  # millimetres
     assert 1200 < highest < 1700
+
+
+def test_every_kind_of_solid_is_a_thick_line_along_its_length() -> None:
+    xml = """<mujoco><worldbody><body>
+      <geom type="capsule" size=".1 .5"/> <geom type="sphere" size=".2" pos="0 0 1"/>
+      <geom type="cylinder" size=".1 .5" euler="90 0 0"/>
+      <geom type="box" size=".6 .1 .2" euler="0 0 90"/>
+    </body></worldbody></mujoco>"""
+    found = body(Model(mujoco.MjModel.from_xml_string(xml), 0.01), np.zeros((1, 0)))  # pyright: ignore[reportAttributeAccessIssue]
+    ends = numbers(found["ends"], "<i2").reshape(*found["shape"], 2, 3)
+    assert found["radius"] == [100, 200, 100, 150]
+    length = np.abs(ends[0, :, 1] - ends[0, :, 0])
+    assert length.tolist() == [[0, 0, 1000], [0, 0, 0], [0, 800, 0], [0, 900, 0]]
 
 
 def test_the_page_asks_nobody_for_anything(store: Path) -> None:
