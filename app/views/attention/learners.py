@@ -9,6 +9,7 @@ import streamlit as st
 from app import session, text
 from app.data import buffer, weighings
 from app.data.buffer import Floats
+from app.data.called import names
 from app.data.weighings import Dataset, Weighing
 from app.figures.weights import probe_profiles
 from app.parts import address, form, jobs, widgets
@@ -51,12 +52,15 @@ def draw(scope: Scope) -> None:
     online = [run for run in scope.runs if run.env != ROAD]
     kept = [run for run in online if buffer.has_rows(run)]
     weighed = weighings.weighed(store)
-    left, right = st.columns([1, 1], vertical_alignment="bottom")
+    top, (left, right) = st.container(), st.columns([1, 1], vertical_alignment="bottom")
     run = in_buffer.choose(
         scope, lambda: right, kept.__contains__,
         lambda run: (run.run_id not in weighed, *widgets.telling(run)),
     )  # fmt: skip
     rows = 0 if run is None else buffer.length(run)
+    if run is not None:
+        called = text.markdown(names(scope.runs).get(run.run_id, run.name))
+        top.header(f"How each learner weighs the buffer of {called}", anchor=False)
     if run is None:
         if not widgets.left_out_of_all(online, "buffer"):
             st.info("No run of a MuJoCo task has collected transitions here yet.")
