@@ -114,6 +114,6 @@ def _caption(panels: Sequence[Panel], one_sided: Collection[str]) -> str:
     left_out = f" Left out, for lack of one number: {', '.join(named)}." if named else ""
     return (
         "Uniform weights are at 1 on both axes. Further left is nearer to the policy, further down "
-        f"is a smaller error. Model: {PAPERS} (units x layers), one step ahead. Bars: 95 % bootstrap "
-        f"intervals over recordings. n: {n}.{left_out}"
+        f"is a smaller error. Model: {PAPERS} (units x layers), one step ahead. Bars: 95 % "
+        f"bootstrap intervals over recordings. n: {n}.{left_out}"
     )

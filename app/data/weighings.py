@@ -169,12 +169,12 @@ class Weighing:
         if self.counted_by_step:
             return (
                 f"It weighs the {self.rows:,} transitions that the buffer held at step "
-                f"{self.step:,}, of {rows:,} that were collected."
+                f"{self.step:,}, of {rows:,} collected in all."
             )
         if self.rows == rows:
             return ""
         return (
-            f"It weighs the first {self.rows:,} of now {rows:,} transitions: the run has gone on "
+            f"It weighs the first {self.rows:,} of now {rows:,} transitions; the run has gone on "
             "since."
         )
 

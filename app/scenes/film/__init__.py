@@ -63,10 +63,12 @@ def story(run: RunReader) -> dict[str, Any]:
     """The data of the cinema, ready for JSON. Raises UserError if a part is missing."""
     profiles = readers.profiles(run)
     if len(profiles.env_step) < 2:
-        raise UserError("a story needs two model fits at least, and this run has kept fewer")
+        raise UserError("a story needs at least two model fits, and this run has kept fewer")
     recorded, _, state, _ = buffer.with_states(run)
     if not len(recorded):
-        raise UserError("its buffer is not there: no robots and no map of the buffer can be drawn")
+        raise UserError(
+            "its buffer is missing, so neither robots nor the buffer's map can be drawn"
+        )
     known, model = task_of(run), scene_of(run)
     if model is None:
         raise UserError(f"there is no robot to draw in {run.env}")
