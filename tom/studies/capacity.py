@@ -1,8 +1,8 @@
 """For which models does weighting pay? Models of growing capacity, fitted by every way of weighing.
 
 Weights for a shifted distribution help if a model is too small for the whole buffer (Shimodaira
-2000), and have little effect if a network fits everything (Byrd and Lipton 2019). Errors are those
-on episodes that the kept policy of a step makes anew. Runs must be whole, or small copies made with
+2000), and have little effect if a network fits everything (Byrd and Lipton 2019). Errors are
+measured on new episodes of the policy kept at a step. Runs must be whole, or small copies made with
 --keep buffer policies.
 """
 

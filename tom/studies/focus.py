@@ -2,8 +2,8 @@
 
 Each learner weighs the replay buffer of a SAC recording (random half, ordered half) for SAC's final
 policy. The paper's model is fitted with those weights from new initial parameters. Its error is
-measured on fresh transitions of the policy, and on the two halves of the buffer. Nothing is
-accepted or refused: it says for whom weighting helped, and where.
+measured on fresh transitions of the policy and on the two halves of the buffer. Nothing is accepted
+or refused: the study says which learner's weights helped, and where.
 """
 
 from argparse import Namespace

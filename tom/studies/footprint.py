@@ -1,8 +1,8 @@
 """Are the weights where the policy goes? Every way of weighing on the same frozen buffers.
 
-Replay buffers of runs and of recordings of SAC, as they stood at steps whose policy was kept, are
-weighed by every way, and it is measured how near that brings each to episodes that the policy of
-that step makes anew. Runs must be whole, or small copies made with --keep buffer policies.
+Takes replay buffers of runs and of SAC recordings as they were at steps whose policy was kept,
+weighs them in every way, and measures how near that brings each to new episodes of that step's
+policy. Runs must be whole, or small copies made with --keep buffer policies.
 """
 
 from argparse import ArgumentParser, Namespace
