@@ -122,7 +122,7 @@ def _region(path: Path, reader: RunReader, step: int, count: int) -> NDArray[np.
         numbers = np.array(path.read_text().split(), np.int64)
     except (OSError, ValueError, OverflowError) as error:
         raise UserError(
-            f"--rows {path}: {reason(error)}; write row numbers into it, one a line"
+            f"--rows {path}: {reason(error)}; write row numbers into it, one per line"
         ) from None
     first = step - count
     if not len(numbers) or numbers.min() < first or numbers.max() >= step:

@@ -271,7 +271,7 @@ def repair(args: argparse.Namespace) -> int:
 )  # fmt: skip
 def export_runs(args: argparse.Namespace) -> int:
     if (args.keep or args.without) and not args.small:
-        raise UserError("--keep and --without are about a small copy: add --small")
+        raise UserError("--keep and --without apply to a small copy: add --small")
     asked = {"--format": args.format, "--small": args.small or None, "--rows": args.rows}
     chosen = [name for name, value in asked.items() if value is not None]
     if len(chosen) > 1:

@@ -279,5 +279,7 @@ def _dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], j
     if not to_do or any(row["hours"] is not None for row in to_do):  # else nobody knows
         print(f"about {hours:.1f} h with {jobs} at a time and {readable.size(1e6 * megabytes)}")
     if unknown := sorted({f"{r['env']} {r['learner']}" for r in to_do if r["hours"] is None}):
-        print(f"without {', '.join(unknown)}: {args.store} has no finished run to judge them by")
+        print(
+            f"without {', '.join(unknown)}: {args.store} has no finished run to estimate them from"
+        )
     return 0

@@ -145,7 +145,7 @@ class Unit(gym.Wrapper):
     def _unusable(self, what: str) -> OwnCodeError:
         return OwnCodeError(
             f"the task '{self._name}' gives {what} at {self._step()}: numbers must be finite in "
-            "single precision, and of one shape: mend its reset and step"
+            "single precision, and of one shape: fix its reset and step"
         )
 
 

@@ -135,7 +135,7 @@ def measured(args: Namespace, models: Sequence[str] = ()) -> list[Row]:
         raise UserError(f"cannot read {args.table}: {error}") from error
     except ValueError as error:
         why = reason(error)
-        raise UserError(f"{args.table} is no moments.csv of this study ({why})") from error
+        raise UserError(f"{args.table} is not a moments.csv of this study ({why})") from error
     return outcomes
 
 

@@ -136,8 +136,8 @@ def _constant(card: Card) -> str:
     if not still.any() or still.all():
         return ""
     return (
-        f"observation {dims(still)} of {len(still)} never changed: nothing can be learnt there; "
-        "leave out of the observation what carries nothing"
+        f"observation {dims(still)} of {len(still)} never changed: nothing can be learnt from it; "
+        "leave out what does not change"
     )
 
 
