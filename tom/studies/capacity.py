@@ -32,7 +32,7 @@ from tom.studies.study import Findings, Row
 TITLE = "Where weighting pays"
 CLAIM = (
     "A model fitted by TOM's weights is accurate where the policy goes (figure 1). The paper "
-    "varies the model's capacity nowhere; its linear model of road-and-rocks is the small end."
+    "never varies the model's capacity; its linear model of road-and-rocks is the small end."
 )
 ASKED = ("recency", "half-recency", "ratio", "tom-discounted", "tom-mended", "half-tom-mended")
 AHEAD = {"one step": ERROR, "five steps": ROLLOUT_ERROR}
@@ -55,7 +55,7 @@ def find(args: Namespace) -> Findings:
     figures = {
         name: (
             f"Error {ahead} ahead on new steps of the policy, over the error under uniform "
-            "weights; a panel a model, a point a moment, the stroke is their median.",
+            "weights. One panel per model, one point per moment; the stroke is their median.",
             capacity_figure(outcomes, ahead),
         )
         for name, ahead in zip(("capacity", "capacity-rollouts"), AHEAD, strict=True)

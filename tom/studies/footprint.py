@@ -36,8 +36,8 @@ LEAST = 0.03
 """distances below it are drawn at it: the axis is logarithmic"""
 CAPTION = (
     "Energy distance of (s, a, s' - s), z-scored, between the weighted buffer and fresh episodes "
-    "of the policy, over that of the unweighted buffer (1: no better than no weights). A point a "
-    f"moment of a run, the stroke is their median; points below {LEAST} are drawn there. Moments "
+    "of the policy, over that of the unweighted buffer (1: no nearer than without weights). One "
+    f"point per moment; the stroke is their median; points below {LEAST} are drawn there. Moments "
     "whose distances are lost in noise are left out."
 )
 

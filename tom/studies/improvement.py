@@ -97,10 +97,13 @@ def add_options(parser: ArgumentParser) -> None:
         "--termination", dest=RULE, metavar="module:function",
         help="the termination rule of the runs, if it is code of yours; it is used for these runs",
     )  # fmt: skip
-    known, updates = ", ".join(f"'{name}'" for name in MODELS), "of SAC, those between two fits"
+    known, updates = (
+        ", ".join(f"'{name}'" for name in MODELS),
+        "SAC updates, as many as between two fits",
+    )
     parser.add_argument("--model", default="200 x 4", help=f"{known} [%(default)s]")
     parser.add_argument("--updates", type=whole(PARTS), default=1250, help=f"{updates} [1250]")
-    parser.add_argument("--episodes", type=whole(1), default=5, help="of an evaluation [5]")
+    parser.add_argument("--episodes", type=whole(1), default=5, help="episodes per evaluation [5]")
 
 
 def find(args: Namespace) -> Findings:

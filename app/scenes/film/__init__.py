@@ -236,9 +236,9 @@ def ghosts(
         | travelling(*drawn, kept[which])
         for which, called, colour, shift, alpha in (
             ("real", "real", REAL[mode], 0.0, 1.0),
-            (AS_IT_IS, "as it is", COLUMNS[mode][0][1], -APART, 0.8),
+            (AS_IT_IS, "unchanged", COLUMNS[mode][0][1], -APART, 0.8),
             (f"x{factor:g}", name, COLUMNS[mode][2][1], APART, 0.8),
         )
     ]
     told = {"robots": robots, "speed": SPEED, "dt": float(kept["dt"])}
-    return document(f"Two ghosts: as it is, and {name}", "ghosts.js", told, learner, mode)
+    return document(f"Two ghosts: unchanged weights, and {name}", "ghosts.js", told, learner, mode)

@@ -133,8 +133,8 @@ def _numbers(run: RunReader, profiles: Profiles) -> None:
             ("transitions", [f"{count:,}" for count in profiles.count], ""),
             (
                 "weight on the newest fifth", shares(newest_share(profiles)),
-                "share of the whole weight on the newest fifth of the buffer; 20 % if all count "
-                "the same",
+                "share of all weight on the newest fifth of the buffer; 20 % if all transitions "
+                "count the same",
             ),
             (
                 "effective sample", shares(profiles.ess),
@@ -160,11 +160,11 @@ def _even(run: RunReader, profiles: Profiles, chosen: int) -> None:
     step = int(profiles.env_step[chosen])
     noticed = {(notice.get("env_step"), notice.get("code")) for notice in readers.notices(run)}
     if (step, DEGENERATE[0]) in noticed:
-        reason = "its weights could not be used"
+        reason = "the learner's weights could not be used"
     elif (profiles.ess[:chosen] <= EVEN).any():
-        reason = "although it had weighed before"
+        reason = "although the learner had weighed before"
     else:
-        reason = "its warm-up, before it weighs"
+        reason = "the learner is still warming up"
     st.caption(f"At step {step:,} all transitions count the same: {reason}.")
 
 
@@ -297,8 +297,8 @@ def _road(scope: Scope, run: RunReader, step: int) -> None:
         st.info("This road-and-rocks run has recorded no weights yet.", icon=":material/add_road:")
         return
     st.caption(
-        "A car must follow the road; on the rocks steering is turned, differently in every cell. "
-        "A linear model cannot be right everywhere: the weights decide where it is."
+        "A car must follow the road; on the rocks, steering is turned, differently in every cell. "
+        "A linear model cannot be right everywhere; the weights decide where it is right."
     )
     others = {one.run_id: one for one in shown if one.run_id != run.run_id}
     beside = address.choose_many(

@@ -228,7 +228,7 @@ def command(
 def _start(job: str, run: RunReader, source: Source, mask: Mask) -> None:
     left, right = st.columns([3, 2], vertical_alignment="bottom")
     factors = left.pills(
-        "Its weight is multiplied by", list(FACTORS), default=list(FACTORS), key="factors",
+        "Multiply its weight by", list(FACTORS), default=list(FACTORS), key="factors",
         selection_mode="multi", format_func=factor_in_words,
     )  # fmt: skip
     count = int(mask.sum())
