@@ -106,7 +106,7 @@ def _footprint(tables: Tables) -> Verdict:
         for row in ours
     ]
     sentence = (
-        "The share of its distance to what the policy does next that a weighted buffer keeps: "
+        "A weighted buffer keeps this share of its distance to what the policy does next: "
         f"{', '.join(distances)}. Recorded trainings, {ours[0]['n']:.0f} moments."
     )
     rivals = {"recency": "Recency", "policy-distance": "The policies' distance"}
@@ -152,7 +152,7 @@ def _capacity(tables: Tables) -> Verdict:
         f"with uniform weights is {' and '.join(cost)}."
     )
     least = min(1.0, min(row["p"] for row in table) * len(table))
-    against = f"Corrected for all {len(table)} tests of the table, the least p is {least:.2g}."
+    against = f"Corrected for all {len(table)} tests of the table, the smallest p is {least:.2g}."
     points = [_point(row["model"], LABELS[row["way"]], row, "ratio") for row in table]
     axis = "model error (1: as with uniform weights)"
     return Verdict(_by_rows(ours), sentence, against, axis, 1, points)
@@ -171,7 +171,7 @@ def _improvement(tables: Tables) -> Verdict:
     ]
     sentence = (
         f"After one fit, the policy returned more than with uniform weights in {trials[0]} to "
-        f"{trials[-1]}; the least p of {len(table)} tests is {min(r['p'] for r in table):.2g}."
+        f"{trials[-1]}; the smallest p of {len(table)} tests is {min(r['p'] for r in table):.2g}."
     )
     against = (
         f"At most {max(row['recordings'] for row in table):.0f} recordings count in a test: only "
@@ -197,7 +197,7 @@ def _returns(tables: Tables) -> Verdict:
     least = min(row["p of all"] for row in ours)
     remarks = (row["remark"] for row in ours if isinstance(row["remark"], str))
     few = next((f" {one[0].upper()}{one[1:]}." for one in remarks), "")
-    against = f"Corrected for all comparisons of the table, the least p is {least:.2g}.{few}"
+    against = f"Corrected for all comparisons of the table, the smallest p is {least:.2g}.{few}"
     points = [
         Point(
             row["by"], shown[row["learner"]],
@@ -248,7 +248,7 @@ def _focus(tables: Tables) -> Verdict:
     counts = [f"{name} on {one.above} of {one.n}" for name, one in signs.items()]
     sentence = (
         "On new steps of the policy, the model errs less than MLE's: "
-        f"{', '.join(counts)} recordings (least p {min(one.p for one in signs.values()):.2g})."
+        f"{', '.join(counts)} recordings (smallest p {min(one.p for one in signs.values()):.2g})."
     )
     least = min(1.0, 2.0 ** (1 - max(one.n for one in signs.values())))
     against = (
