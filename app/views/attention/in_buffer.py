@@ -252,7 +252,7 @@ def _scenes(
     )
     if buffer.drawn(run):
         widgets.stage(StatesChoice(run.run_id, groups), STAGE_HEIGHT, compact=True)
-        st.caption("A click on the panel's title opens it: there the moments can be played.")
+        st.caption("Click the panel's title to open it and play the moments.")
         return
     heavy, light = (buffer.moments(run, numbers) for _, numbers, _ in groups)
     figure = moments_figure(heavy, light, buffer.described(run), MOMENT_HEIGHT, run.run_id)

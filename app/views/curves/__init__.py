@@ -202,7 +202,7 @@ def remarks(grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, sco
     warning = text.markdown(statistics.remark(few).replace("seeds", unit)) if few else ""
     which = ", ".join(f"{names(cut)[run.run_id]} ({run.status.env_step:,})" for run in cut)
     bands = {
-        "bootstrap": f"Band: 95 % bootstrap interval of it (1000 resamples of the {unit}).",
+        "bootstrap": f"Band: its 95 % bootstrap interval (1000 resamples of the {unit}).",
         "deviation": f"Band: one standard deviation of the {unit} around their mean.",
     }
     said = {

@@ -147,7 +147,7 @@ def settings(shown: Sequence[RunReader]) -> None:
     words = f"The newest {MOST_COLUMNS} of {len(shown)} runs. " if len(shown) > len(some) else ""
     st.caption(
         f"{words}Settings that are the same everywhere are left out; values unlike the first run's "
-        f"are marked; {text.markdown(NONE)}: the run's version did not have it."
+        f"are marked; {text.markdown(NONE)}: the run's version lacked it."
     )
 
     def marked(row: pd.Series) -> list[str]:
