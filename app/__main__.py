@@ -25,7 +25,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if args.screenshots and args.cinema:
             raise UserError("--screenshots and --cinema are two commands: leave one out")
         if args.run and not args.cinema:
-            raise UserError("--run is that of --cinema DIR: add it, or choose the run on a page")
+            raise UserError("--run needs --cinema DIR: add it, or choose the run on a page")
         if out := args.screenshots or args.cinema:  # before any server or browser starts
             places = out.absolute(), *out.absolute().parents
             there = next(path for path in places if path.exists())
@@ -52,20 +52,20 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="tom studio",
         description="Open the studio in the browser: where a learner looks and whether that helps, "
-        "curves, attention, replays, findings. It writes into the store only what is asked for on "
-        "a page.",
+        "curves, attention, replays, findings. It writes into the store only what you ask for on a "
+        "page.",
     )
-    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
-    parser.add_argument("--host", default="127.0.0.1", help="address to bind to (127.0.0.1)")
+    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store [runs/]")
+    parser.add_argument("--host", default="127.0.0.1", help="address to bind to [127.0.0.1]")
     parser.add_argument("--port", type=int, default=0, metavar="N", help="port of the pages [free]")
     parser.add_argument(
         "--base-path",
         type=base_path,
         default="",
         metavar="/PATH",
-        help="path of the pages behind a proxy, as JupyterHub and Open OnDemand have one",
+        help="path of the pages behind a proxy, such as JupyterHub or Open OnDemand",
     )
-    parser.add_argument("--theme", choices=("light", "dark"), help="default: as the browser's")
+    parser.add_argument("--theme", choices=("light", "dark"), help="[the browser's]")
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
     parser.add_argument(
         "--screenshots", type=Path, metavar="DIR", help="write a picture of every page and exit"
@@ -73,14 +73,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--cinema", type=Path, metavar="DIR", help="write a run's story as HTML, MP4, WebP and exit"
     )
-    parser.add_argument("--run", help="of --cinema: the run [the most telling one]")
+    parser.add_argument("--run", help="the run of --cinema [the most telling one]")
     return parser
 
 
 def base_path(path: str) -> str:
     """The path with a slash at its end; empty if there is none. Raises ArgumentTypeError."""
     if not re.fullmatch(r"(/[\w.~@%+-]+)*/?", path):
-        raise argparse.ArgumentTypeError(f"'{path}' is no path such as /user/me/studio")
+        raise argparse.ArgumentTypeError(f"'{path}' is not a path such as /user/me/studio")
     return f"{path.rstrip('/')}/" if path else ""
 
 

@@ -41,7 +41,7 @@ def read_only_reason() -> str:
     They may if only this machine can open them and the browser gave the studio's key.
     """
     if not links().local_only:
-        return "This studio is open to other machines, so its pages change nothing."
+        return "This studio is open to other machines, so its pages cannot change anything."
     given, key = st.context.headers.get(KEY, ""), links().key
     if not key or not compare_digest(given.encode(), key.encode()):
         return "To change something here, open the address that `tom studio` printed."

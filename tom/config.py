@@ -35,11 +35,11 @@ class ModelConfig(Config):
     kind: Literal["mdn", "ensemble", "mean-ensemble", "linear"] = "mdn"
     """mixture density network, Gaussian ensemble, mean-only ensemble (VaGram), or least squares"""
     hidden: Count = 200
-    """units in a hidden layer"""
+    """units per hidden layer"""
     layers: Count = 4
     """hidden layers"""
     components: Count = 10
-    """mixture components for each output dimension (mdn)"""
+    """mixture components per output dimension (mdn)"""
     members: Count = 7
     """networks in the ensemble"""
     elites: Count = 5
@@ -48,26 +48,26 @@ class ModelConfig(Config):
     """Adam's learning rate"""
     batch_size: Count = 256
     rounds: Count = 30
-    """rounds in a fit at most"""
+    """maximum rounds per fit"""
     batches_per_round: Count = 100
-    """minibatches in a round"""
+    """minibatches per round"""
     patience: Count = 5
-    """a fit stops after more rounds than this without a gain"""
+    """a fit stops after more than this many rounds without a gain"""
     min_gain: NonNegative = 0.01
-    """relative gain of the weighted holdout loss that counts as one, over the last that did"""
+    """smallest relative fall of the weighted holdout loss that counts as a gain, since the last"""
     holdout: Annotated[float, Field(ge=0, lt=1)] = 0.2
     """share of the buffer held out"""
     holdout_max: Count = 5000
-    """held-out transitions at most (of the model; the head that learns ends holds out its share)"""
+    """maximum held-out transitions (of the model; the head that learns ends holds out its share)"""
     weights: Literal["sample", "scale"] = "sample"
     """draw minibatches by weight, or draw uniformly and scale the loss (never both)"""
     weight_clip: Positive = 10.0
-    """weights of TOM and ratio (mean 1) are clipped here before the fit; no other learner's are"""
+    """upper bound of the weights (mean 1) before a fit, of the learners TOM and ratio only"""
     uniform_share: Fraction = 0.0
-    """share of uniform weights mixed into the fit's, which bounds how far they starve a row"""
+    """share of uniform weights mixed into the fit's, so that no row counts less than this share"""
     termination: str | None = Field(default=None, exclude_if=lambda value: value is None)
     """which modelled next observations end an episode: module:function, never, or learnt by a head
-    of the model [the task's own rule; learnt where it has none]"""
+    of the model [the task's own rule; learnt if it has none]"""
 
 
 class SacConfig(Config):
@@ -78,10 +78,10 @@ class SacConfig(Config):
     lr: Positive = 3e-4
     batch_size: Count = 256
     tau: Annotated[float, Field(gt=0, le=1)] = 0.005
-    """step of the target critics towards the critics"""
+    """step of the target critics towards the critics at each update"""
     discount: Discount = 0.99
     target_entropy: float | None = None
-    """entropy the temperature steers to; default -dim(A)"""
+    """entropy that the temperature aims for; default -dim(A)"""
     initial_temperature: Positive = 1.0
 
 
@@ -89,21 +89,21 @@ class RolloutConfig(Config):
     """Rollouts of the policy in the learnt model."""
 
     starts: Count = 100_000
-    """start states for each fit"""
+    """start states per fit"""
     length: Count = 1
     """steps of a rollout at the start of training"""
     final_length: Count = 1
-    """steps of a rollout at the end of the schedule, where it is longer than at the start"""
+    """steps of a rollout at the end of the schedule, if longer than at the start"""
     schedule_start: Whole = 20
-    """epoch (1 000 env steps after exploration) where the length begins to grow"""
+    """epoch (1 000 env steps after exploration) at which rollouts begin to grow"""
     schedule_end: Whole = 150
-    """epoch where it has grown"""
+    """epoch at which they stop growing"""
     retain: Count = 1
-    """epochs (1 000 env steps) whose rollouts stay in the model buffer; one fit's at the least"""
+    """epochs (1 000 env steps) whose rollouts stay in the model buffer; at least one fit's"""
     weighted_starts: bool = True
     """draw start states by weight (uniformly until the learner has weights)"""
     uniform_share: Fraction = 0.0
-    """share of uniform weights mixed into those of the start states"""
+    """share of uniform weights mixed into the start states' weights"""
     chunk: Count = 2000
     """rows predicted at once (they stay in the processor's cache)"""
 
@@ -130,12 +130,12 @@ class TomConfig(Config):
     conjugate: Literal["clamped", "released"] = "clamped"
     """chi2's conjugate over x >= 0, or the unclamped parabola of the released code"""
     flow: Literal["discounted", "restart", "stationary"] = "discounted"
-    """constraint on the weights: the paper's, an end followed by a new start, or that at discount 1
-    with mean weight 1"""
+    """constraint on the weights: the paper's; one where a new start follows an end; or that with
+    discount 1 and mean weight 1"""
     discount: Discount = 0.99
-    """of the flow (a stationary one has none)"""
+    """discount of the flow (a stationary flow has none)"""
     discriminator: bool = True
-    """off: r is 1 on the policy buffer and 0 elsewhere (an ablation of the released code)"""
+    """false: r is 1 on the policy buffer and 0 elsewhere (an ablation of the released code)"""
     discriminator_input: Literal["transitions", "state-actions"] = "transitions"
     """what r is a ratio of: (s, a, s') as in the paper, or (s, a), which is the same r with less
     noise where one environment made both buffers"""
@@ -144,9 +144,9 @@ class TomConfig(Config):
     discriminator_lr: Positive = 3e-4
     discriminator_hidden: Count = 256
     discriminator_reset: bool = True
-    """start the discriminator afresh at every fit"""
+    """reinitialise the discriminator at every fit"""
     label_smoothing: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
-    """replay rows are labelled with this instead of 0 (the released code: 0.1)"""
+    """label of replay rows (the released code: 0.1)"""
     gradient_penalty: NonNegative = 0.0
     """weight of the discriminator's gradient penalty (the released code: 10)"""
     q_steps: Count = 1000
@@ -155,22 +155,22 @@ class TomConfig(Config):
     q_hidden: Count = 256
     q_weight_decay: NonNegative = 1e-4
     q_reset: bool = False
-    """start Q afresh at every fit (default: go on from the last)"""
+    """reinitialise Q at every fit (default: continue from the last fit)"""
     q_holdout: Annotated[float, Field(ge=0, le=0.5)] = 0.0
-    """share of episodes held out from the dual: Q starts afresh at every fit and stops at their
-    least loss (0: Q trains for all q_steps)"""
+    """share of episodes held out from the dual: Q is reinitialised at every fit and stops at their
+    lowest loss (0: Q trains for all q_steps)"""
     q_check_every: Count = 100
-    """steps between two looks at the held-out loss"""
+    """steps between two checks of the held-out loss"""
     q_patience: Count = 5
-    """looks without a new least loss that end the training of a validated Q"""
+    """checks without a new lowest loss after which a Q with held-out episodes stops training"""
     q_bias_step: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """damped Newton step of Q's output bias, which carries the weights' mean (0: Adam alone)"""
+    """damped Newton step of Q's output bias, which carries the weights' mean (0: only Adam)"""
     q_non_negative: bool = False
     """keep Q >= 0 as printed in the paper (costs a third of the weights' mass in the median)"""
     semi_gradient: bool = False
     """stop the gradient through Q(s', a') (breaks the dual: for comparison only)"""
     parameter_average: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    """r and weights come from both networks' parameters averaged with this decay (0: the last)"""
+    """decay of the averaged parameters of both networks that give r and weights (0: the last)"""
     action_samples: Count = 4
     """actions averaged for E_{a'~pi}[Q(s', a')], which sits inside f* (the released code: one)"""
     warmup: Count = 1000
@@ -209,7 +209,7 @@ class VagramConfig(Config):
     """VaGram's value-gradient weights."""
 
     clip_quantile: Annotated[float, Field(gt=0, le=1)] = 0.95
-    """weights are clipped at this quantile"""
+    """quantile at which weights are clipped"""
 
 
 class PdmlConfig(Config):
@@ -218,7 +218,7 @@ class PdmlConfig(Config):
     rows_per_policy: Count = 250
     """on-policy rows, counted from the newest, that count as one policy's (250: a fit's)"""
     newest_rate: Annotated[float, Field(gt=0, lt=1)] = 0.02
-    """share of all policies' weight that the newest one has at the least"""
+    """the newest policy's minimum share of all policies' weight"""
     exploration: Fraction = 0.05
     """weight of an exploration row over that of a row of the oldest policy"""
     warmup: Whole = 1000
@@ -229,7 +229,7 @@ class PolicyDistanceConfig(Config):
     """Weights by the distance of the policies then and now at each row's own state."""
 
     floor: Positive = 0.05
-    """divergence that counts as none, in nats: it bounds a row's weight"""
+    """divergence added to every row's, in nats: it bounds a row's weight"""
     warmup: Whole = 1000
     """on-policy rows before it starts; uniform weights until then"""
 
@@ -238,16 +238,16 @@ class PmerConfig(Config):
     """Rows of large model error more often (Tao et al. 2026)."""
 
     share: Fraction = 0.5
-    """share of the rows that are drawn by error; the others are drawn uniformly"""
+    """share of the rows drawn by error; the others are drawn uniformly"""
     sharpness: NonNegative = 1.0
-    """those by error are drawn in proportion to error^sharpness"""
+    """rows are drawn by error in proportion to error^sharpness"""
 
 
 class ActionRatioConfig(Config):
     """The importance ratio of the row's action."""
 
     clip: Positive = 10.0
-    """ratios are clipped here"""
+    """upper bound of the ratios"""
 
 
 class EvaluationConfig(Config):
@@ -266,12 +266,12 @@ class RunConfig(Config):
     seed: Whole = 0
     """seed of every random stream"""
     steps: Count = 10_000
-    """environment steps in all (offline: steps of policy optimisation in the model)"""
+    """total environment steps (offline: steps of policy optimisation in the model)"""
     preset: str = "paper"
     device: str = "cpu"
     """cpu or cuda (plain torch; almost untried)"""
     threads: Annotated[int, Field(ge=1, le=256)] = 1
-    """threads of torch (one is fastest for one run; give other cores to other seeds)"""
+    """torch's threads (one is fastest for one run; use other cores for other seeds)"""
     matmul: Literal["auto", "default", "onednn"] = "auto"
     """fp32 matrix products on a CPU: probe, torch's default, or oneDNN"""
     checkpoint_every: Whole = 2000
@@ -279,8 +279,8 @@ class RunConfig(Config):
     bins: Annotated[int, Field(ge=1, le=10_000)] = 100
     """bins of a weight profile, oldest to newest"""
     snapshots: Whole = 12
-    """fits over a run whose every single weight and policy is kept (0: none but the last); a
-    recording of SAC keeps its policy as often"""
+    """number of fits whose single weights and policy are kept (0: only the last fit's); a recording
+    of SAC keeps its policy as often"""
     tom: TomConfig = TomConfig()
     pmac: PmacConfig = PmacConfig()
     vagram: VagramConfig = VagramConfig()
@@ -295,7 +295,7 @@ class OnlineConfig(RunConfig):
     """MBPO in a MuJoCo task (Algorithm 2)."""
 
     exploration_steps: Count = 5000
-    """uniformly random steps before training starts"""
+    """uniformly random steps before training"""
     fit_every: Count = 250
     """env steps between model fits"""
     updates_per_step: Count = 5
@@ -304,7 +304,7 @@ class OnlineConfig(RunConfig):
     """share of real transitions in a SAC minibatch"""
     replay_capacity: Count = 1_000_000
     policy_capacity: Count = 1000
-    """the policy buffer: the last so many on-policy transitions"""
+    """size of the policy buffer: the policy's last on-policy transitions"""
     model: ModelConfig = ModelConfig()
     sac: SacConfig = SacConfig()
     rollout: RolloutConfig = RolloutConfig()

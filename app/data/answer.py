@@ -101,20 +101,20 @@ def where(side: Side) -> Answer:
     last = [profiles for profiles in side.profiles if len(profiles.env_step)]
     if side.uniform:
         return Answer(
-            "unclear", "Everywhere alike", f"{side.name} counts every transition the same.",
+            "unclear", "Everywhere equally", f"{side.name} counts every transition the same.",
             "Choose a learner that weighs, such as TOM or PMAC.",
         )  # fmt: skip
     if not last:
         return Answer(
             "unknown", "Cannot be told yet", f"{side.name} has not fitted a model yet.",
-            "The weights come with the first fit.",
+            "Weights come with the first fit.",
         )  # fmt: skip
     newest = scores.interval(np.array([newest_share(one)[-1] for one in last]))
     left = scores.interval(np.array([one.ess[-1] for one in last], np.float64))
     sentence = (
         f"{side.name} puts **{percent(newest.value, 0)}** of its weight on the newest fifth of its "
-        f"buffer{_spread(newest)}; equal weights would put 20 %. The weights leave an effective "
-        f"sample of {percent(left.value, 0)} of the rows ({_count(len(last))}, last fit)."
+        f"buffer{_spread(newest)}; equal weights would put 20 %. The effective sample is "
+        f"{percent(left.value, 0)} of the rows ({_count(len(last))}, last fit)."
     )
     if side.contrast is not None:
         sentence += f" {_stands_out(side.contrast)}"
@@ -122,7 +122,7 @@ def where(side: Side) -> Answer:
         return Answer("yes", "At new data", sentence)
     if newest.high < NEWEST or (len(last) == 1 and newest.value < 0.5 * NEWEST):
         return Answer("no", "At old data", sentence)
-    return Answer("unclear", "At no age more than at others", sentence)
+    return Answer("unclear", "At no age in particular", sentence)
 
 
 def on_road(name: str, frames: Sequence[pd.DataFrame]) -> Answer:
@@ -138,7 +138,7 @@ def on_road(name: str, frames: Sequence[pd.DataFrame]) -> Answer:
     counts = (
         f"counts **{short(times)}** times as much as"
         if np.isfinite(times)
-        else "has all the weight beside"
+        else "counts infinitely more than"
     )
     sentence = (
         f"{name} puts **{percent(share.value, 0)}** of its weight on the road{_spread(share)}; a "
@@ -161,8 +161,8 @@ def _stands_out(seen: Contrast) -> str:
     )
     share = percent(seen.explained, 0)
     return (
-        f"It weighs most where {ways}: the plane of (s, a, s') in which weights differ most "
-        f"explains {share} of the variance of the log weight ({fit})."
+        f"It weighs most where {ways}. Two directions of state, action and next state explain "
+        f"{share} of the variance of the log weight ({fit})."
     )
 
 
@@ -170,8 +170,8 @@ def on_policy(side: Side) -> Answer:
     """Whether the weights bring the buffer nearer to what the policy does next."""
     if side.uniform:
         return Answer(
-            "unclear", "It does not choose", f"{side.name} weighs every transition alike, so its "
-            "buffer is as near to the policy as it was collected: a footprint of 1.",
+            "unclear", "It does not choose", f"{side.name} weighs every transition the same, so "
+            "its buffer comes no nearer to the policy: a footprint of 1.",
         )  # fmt: skip
     # The median over a run's fits that weigh and whose footprint says something.
     of_runs = [one.footprint[one.telling & (one.step >= side.weighs_from)] for one in side.exams]
@@ -179,19 +179,21 @@ def on_policy(side: Side) -> Answer:
     if not len(measured):
         return Answer(
             "unknown", "Cannot be told yet",
-            f"No fit of {side.name} has a footprint that says anything.",
-            "A footprint needs the steps that the policy makes after a fit, farther from the whole "
-            "buffer than from each other: train on.",
+            f"No fit of {side.name} has a footprint that says anything yet.",
+            "A footprint compares the buffer with the steps that the policy takes after a fit. "
+            "They must differ from the buffer by more than from each other: train on.",
         )  # fmt: skip
     footprint = scores.interval(measured, "iqm")
     left = percent(footprint.value, 0)
     sentence = (
-        f"Weighted by {side.name}, the buffer lies at **{left}** of its distance to what the "
-        f"policy does next{_spread(footprint, len(measured))}; 100 % is no nearer than "
-        "without weights, 0 % is the policy itself."
+        f"Weighted by {side.name}, the buffer keeps **{left}** of its distance to what the "
+        f"policy does next{_spread(footprint, len(measured))}; 100 % means no nearer than "
+        "without weights, 0 % the policy itself."
     )
     if len(measured) == 1:
-        return Answer("unknown", "Cannot be told yet", sentence, "One run has no interval: two do.")
+        return Answer(
+            "unknown", "Cannot be told yet", sentence, "One run gives no interval; two do."
+        )
     if footprint.high < 1:
         return Answer("yes", "Yes, nearer to the policy", sentence)
     if footprint.low > 1:
@@ -215,7 +217,9 @@ def helps(one: Side, other: Side) -> Answer:
         [curve for curve in curves if curve.step[0] <= until <= curve.step[-1]] for curves in pairs
     ]
     if not all(begun):
-        return Answer("unknown", "Cannot be told yet", f"The runs share no step yet. {error}")
+        return Answer(
+            "unknown", "Cannot be told yet", f"The runs have no step in common yet. {error}"
+        )
     since = scores.common_start(curve for curves in begun for curve in curves)
     final, *others = (
         [scores.scores_of(curves, name, until, since) for curves in begun]
@@ -228,22 +232,22 @@ def helps(one: Side, other: Side) -> Answer:
     if fewest < RANKED:
         return Answer(
             "unknown", f"Cannot be told yet: {fewest} of {RANKED} seeds",
-            f"{one.name} returns {means[0]} and {other.name} {means[1]} on average {at} "
+            f"On average {at}, {one.name} returns {means[0]} and {other.name} {means[1]} "
             f"({counts}). {error}",
-            f"{RANKED} seeds of each would tell.",
+            f"{RANKED} seeds of each are needed.",
         )  # fmt: skip
     beats = statistics.probability_of_improvement(final[:1], final[1:])
     ps = [statistics.exchangeable(of[:1], of[1:]) for of in (final, *others)]
     p, of_all = ps[0], statistics.corrected(ps)[0]
     chance = f"{10 * beats.value:.0f} times in 10 (p {p:.2g}, {counts})"
     sentence = (
-        f"{at.capitalize()} {one.name} returns **{means[0]}** on average and {other.name} "
+        f"{at.capitalize()}, {one.name} returns **{means[0]}** on average and {other.name} "
         f"**{means[1]}**; a random run of {one.name} beats one of {other.name} {chance}. {error}"
     )
     if p >= SIGNIFICANT:
         return Answer("unclear", "Not clearly", sentence)
     comes_out = "more" if beats.value > 0.5 else "less"
-    corrected = f"Corrected for the three scores of Curves, Statistics, p is {of_all:.2g}."
+    corrected = f"Corrected for the three scores in Curves, Statistics, p is {of_all:.2g}."
     if of_all >= SIGNIFICANT:
         return Answer("unclear", f"Perhaps it returns {comes_out}", sentence, corrected)
     if beats.value > 0.5:
@@ -263,7 +267,7 @@ def _error(one: Side, other: Side) -> str:
         "change"
     )
     if not result.ranked:
-        return f"One step ahead, where its policy goes, its model errs by {numbers}."
+        return f"Where their policies go, the models err by {numbers}, one step ahead."
     p = statistics.exchangeable([first.error], [second.error])
     less = "less" if first.typical < second.typical else "more"
     if p >= SIGNIFICANT:

@@ -84,16 +84,16 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
         all_worse = all(error.low > 1 for *_, error in ways)
         sides.append(bool(both) - all_worse)
         told.append(
-            f"{called.task(panel.env)}: {', '.join(both) or 'none' + ', all err more' * all_worse}."
+            f"{called.task(panel.env)}: {', '.join(both) or 'none' + '; all err more' * all_worse}."
         )
     sentence = (
-        "Both nearer to the policy and of smaller error than uniform weights, by their intervals. "
-        + " ".join(told)
+        "By their intervals, these are nearer to the policy than uniform weights and also err "
+        "less. " + " ".join(told)
     )
     fewest = sorted({panel.recordings for panel in panels} & {*COVERAGE})[:1]
-    few = "".join(f", with {n} about {COVERAGE[n]} of 100 hold the true mean" for n in fewest)
+    few = "".join(f" (with {n}, about {COVERAGE[n]} of 100 hold the true mean)" for n in fewest)
     alone = [called.task(panel.env) for panel in panels if panel.recordings == 1]
-    none = f" One recording, of {' and '.join(alone)}, gives none." if alone else ""
+    none = f" {' and '.join(alone)}, with one recording, has none." if alone else ""
     against = (
         f"Intervals over so few recordings are too narrow{few}, and "
         f"{2 * sum(len(panel.ways) - 1 for panel in panels)} are read at once, uncorrected.{none}"
@@ -111,9 +111,9 @@ def _caption(panels: Sequence[Panel], one_sided: Collection[str]) -> str:
     named = [label for way, label in LABELS.items() if way in one_sided]
     if variants := len(one_sided) - len(named):
         named.append(f"{variants} variants of TOM")
-    left_out = f" Left out, since one number is lacking: {', '.join(named)}." if named else ""
+    left_out = f" Left out, for lack of one number: {', '.join(named)}." if named else ""
     return (
-        "Uniform weights are at 1 on both axes; further left is nearer to the policy, further down "
-        f"errs less. Model: {PAPERS} (units x layers), one step ahead. Bars: 95 % bootstrap "
-        f"intervals over recordings. n: {n}.{left_out}"
+        "Uniform weights are at 1 on both axes. Further left is nearer to the policy, further down "
+        f"is a smaller error. Model: {PAPERS} (units x layers), one step ahead. Bars: 95 % "
+        f"bootstrap intervals over recordings. n: {n}.{left_out}"
     )

@@ -27,12 +27,12 @@ QUESTIONS = {
     "improvement": "Does the policy return more with weights in the model or in the starts?",
     "online": "Does TOM look beyond the newest data while a training goes on?",
     "returns": "Do trainings with TOM's weights return more than MLE's?",
-    "tabular": "Are the estimated weights the exact ones of small MDPs?",
+    "tabular": "Are the estimated weights exact on small MDPs?",
 }
 """the question of every study of `tom reproduce`, in the order of listing"""
 FACTORS = "factors"
 """the table of returns with weights in the model, in the starts, in both or in none"""
-IN_WHICH = "Do whole trainings return more by TOM's weights in the model, or in the starts?"
+IN_WHICH = "Do whole trainings return more with TOM's weights in the model, or in the starts?"
 
 
 @dataclass(frozen=True)

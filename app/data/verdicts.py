@@ -106,12 +106,12 @@ def _footprint(tables: Tables) -> Verdict:
         for row in ours
     ]
     sentence = (
-        "With weights a buffer keeps so much of its distance to what the policy does next: "
-        f"{', '.join(distances)}. Recorded trainings at {ours[0]['n']:.0f} moments."
+        "A weighted buffer keeps this share of its distance to what the policy does next: "
+        f"{', '.join(distances)}. Recorded trainings, {ours[0]['n']:.0f} moments."
     )
     rivals = {"recency": "Recency", "policy-distance": "The policies' distance"}
     said = [
-        f"{name}, which trains nothing, brings it to {percent(rows[rival]['distance'], 0)}: that "
+        f"{name}, which trains nothing, keeps {percent(rows[rival]['distance'], 0)}, which "
         f"{_beside(pair, rival)} TOM mended ({_sure(pair, lambda end: percent(end, 0))})."
         for pair in tables["head-to-head"]
         for rival, name in rivals.items()
@@ -119,7 +119,7 @@ def _footprint(tables: Tables) -> Verdict:
     ]
     shown = sorted((rows[way] for way in LABELS if way in rows), key=lambda row: row["distance"])
     points = [_point(LABELS[row["way"]], "", row, "distance") for row in shown]
-    axis = "distance to the policy (1: unweighted)"
+    axis = "distance to the policy (1: without weights)"
     return Verdict(_by_rows(ours), sentence, " ".join(said), axis, 1, points)
 
 
@@ -142,17 +142,17 @@ def _capacity(tables: Tables) -> Verdict:
     models = list(dict.fromkeys(row["model"] for row in ours))
     less = [m for m in models if all(row["high"] < 1 for row in ours if row["model"] == m)]
     cost = [
-        f"{row['ratio']:.2f} ({_sure(row, '{:.2f}'.format)}) times with {LABELS[row['way']]}"
+        f"{row['ratio']:.2f} ({_sure(row, '{:.2f}'.format)}) with {LABELS[row['way']]}"
         for row in table
         if row["model"] == models[-1] and not WAYS[row["way"]].half
     ]
     sentence = (
         f"{whose} weights lower the model's error where the policy goes for "
-        f"{' and '.join(less) or 'no model'} (units x layers). The error of {models[-1]} is "
-        f"{' and '.join(cost)} what it is with uniform weights."
+        f"{' and '.join(less) or 'no model'} (units x layers). The error of {models[-1]} over that "
+        f"with uniform weights is {' and '.join(cost)}."
     )
     least = min(1.0, min(row["p"] for row in table) * len(table))
-    against = f"Corrected for all {len(table)} tests of the table, the least p is {least:.2g}."
+    against = f"Corrected for all {len(table)} tests of the table, the smallest p is {least:.2g}."
     points = [_point(row["model"], LABELS[row["way"]], row, "ratio") for row in table]
     axis = "model error (1: as with uniform weights)"
     return Verdict(_by_rows(ours), sentence, against, axis, 1, points)
@@ -171,7 +171,7 @@ def _improvement(tables: Tables) -> Verdict:
     ]
     sentence = (
         f"After one fit, the policy returned more than with uniform weights in {trials[0]} to "
-        f"{trials[-1]}; the least p of {len(table)} tests is {min(r['p'] for r in table):.2g}."
+        f"{trials[-1]}; the smallest p of {len(table)} tests is {min(r['p'] for r in table):.2g}."
     )
     against = (
         f"At most {max(row['recordings'] for row in table):.0f} recordings count in a test: only "
@@ -193,11 +193,11 @@ def _returns(tables: Tables) -> Verdict:
         for row in ours
         if row["by"] == "best return"
     ]
-    sentence = f"By best return, a random run beats one of MLE: {', '.join(chances)}."
+    sentence = f"By best return, a random run beats a random run of MLE: {', '.join(chances)}."
     least = min(row["p of all"] for row in ours)
     remarks = (row["remark"] for row in ours if isinstance(row["remark"], str))
     few = next((f" {one[0].upper()}{one[1:]}." for one in remarks), "")
-    against = f"Corrected for all comparisons of the table, the least p is {least:.2g}.{few}"
+    against = f"Corrected for all comparisons of the table, the smallest p is {least:.2g}.{few}"
     points = [
         Point(
             row["by"], shown[row["learner"]],
@@ -247,14 +247,14 @@ def _focus(tables: Tables) -> Verdict:
     sides = [_side(one.p * len(signs), 2 * one.above > one.n) for one in signs.values()]
     counts = [f"{name} on {one.above} of {one.n}" for name, one in signs.items()]
     sentence = (
-        "On new steps of the policy the model errs less than MLE's, of all recordings: "
-        f"{', '.join(counts)} (least p {min(one.p for one in signs.values()):.2g})."
+        "On new steps of the policy, the model errs less than MLE's: "
+        f"{', '.join(counts)} recordings (smallest p {min(one.p for one in signs.values()):.2g})."
     )
     least = min(1.0, 2.0 ** (1 - max(one.n for one in signs.values())))
     against = (
-        "On the buffer's random half the error is "
-        f"{median(row['random / mle'] for row in ours):.2f} times MLE's (median). So few "
-        f"recordings have no p below {least:.2g}."
+        "On the buffer's random half, the error is "
+        f"{median(row['random / mle'] for row in ours):.2f} times MLE's (median). With so few "
+        f"recordings, p cannot be below {least:.2g}."
     )
     points = [
         Point(row["recording"], names[row["rival"]],
@@ -279,8 +279,8 @@ def _online(tables: Tables) -> Verdict:
     )
     runs = {row["run"] for row in rows}
     against = (
-        f"{len(runs)} runs, one seed each, so there is no test; the longest profile is of step "
-        f"{max(row['step'] for row in rows):,}, the paper's examples are of 120,000 and 200,000."
+        f"{len(runs)} runs, one seed each, so there is no test. The latest profile is of step "
+        f"{max(row['step'] for row in rows):,}; the paper's are of steps 120,000 and 200,000."
     )
     points, colour = [], learner_colour(SUBJECT)
     for env, name in dict.fromkeys((row["env"], row["learner"]) for row in rows):
@@ -299,7 +299,7 @@ def _accepted(tables: Tables) -> Verdict:
     judged = [row for row in tables["checks"] if str(row["met"]) in ("True", "False")]
     missed = [str(row["name"]) for row in judged if str(row["met"]) == "False"]
     met = len(judged) - len(missed)
-    sentence = f"{met} of the {len(judged)} numbers are met that were fixed beforehand."
+    sentence = f"{met} of the {len(judged)} bounds that were fixed beforehand are met."
     more = f", and {len(missed) - NAMED} more" if len(missed) > NAMED else ""
     against = f"Not met: {'; '.join(missed[:NAMED])}{more}." if missed else ""
     return Verdict(word_of([1] * met + [-1] * len(missed)), sentence, against)

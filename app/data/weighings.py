@@ -166,10 +166,10 @@ class Weighing:
         if self.step is not None:
             return (
                 f"It weighs the {self.rows:,} transitions that the buffer held at step "
-                f"{self.step:,}, of {rows:,} that were collected."
+                f"{self.step:,}, of {rows:,} collected in all."
             )
         return (
-            f"It weighs the first {self.rows:,} of now {rows:,} transitions: the run has gone on "
+            f"It weighs the first {self.rows:,} of now {rows:,} transitions; the run has gone on "
             "since."
         )
 

@@ -62,7 +62,7 @@ def _why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
         return "no learner made these weights: a brush changed them"
     if learner not in WITH_TERMS:
         whose = " and ".join(f"{LEARNERS[name].label}'s" for name in WITH_TERMS)
-        return f"only {whose} weights are such a sum, and these are of {learner}"
+        return f"only {whose} weights are such a sum, and these are those of {learner}"
     prefix = "" if made is None else f"{source.column}-"
     table = reader(run).snapshot(int(source.label)) if made is None else made.table()
     names = [name for name in Terms.named() if prefix + name in table]
@@ -76,8 +76,8 @@ def _why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
     if np.ptp(rows.weight) == 0:
         return f"{LEARNERS[learner].label} did not weigh here: all count the same"
     return (
-        "its terms were not kept; runs trained with this version have them, and small copies of "
-        "such runs with their buffer, but not the gallery nor small copies of weighings"
+        "its terms were not kept. Runs trained with this version have them, and so do their small "
+        "copies with a buffer; the gallery and small copies of weighings do not"
     )
 
 
@@ -91,7 +91,7 @@ def _of_fit(run: RunReader, rows: Rows) -> tuple[TomConfig, str, TensorTransitio
     else:
         shown = reader(run).field("data", 0).get("footprint")
         if shown is None:
-            raise UserError("which of its rows are the policy's was not kept")
+            raise UserError("the run did not keep which of its rows are the policy's")
         among = torch.from_numpy(np.flatnonzero(shown))
     tom: TomConfig = config.tom  # pyright: ignore[reportAttributeAccessIssue]
     return tom, "the run's own fit", rows.rows.torch()[among], among
@@ -176,9 +176,9 @@ def rollouts(run: RunReader, rows: Rows, row: int, step: int | None) -> Rollouts
     policy_step = step if run.has_policy(step) else None
     own = policy_step is not None or rows.first + len(rows) == buffer.length(run)
     if run.env not in ENVS:
-        return f"they are drawn for the built-in tasks, and {run.env} is none of them"
+        return f"they are drawn only for built-in tasks, and {run.env} is not one"
     if not run.has_policy(policy_step):
-        return "the policy of this fit was not kept, and the run has no last one"
+        return "neither this fit's policy nor the run's last one was kept"
     return _rollouts(run, rows.first + row, policy_step, own)
 
 

@@ -41,7 +41,7 @@ def footprint_error_return(exams: Sequence[Exams], height: int) -> go.Figure:
         figure.add_trace(go.Scatter(x=[None], y=[None], mode="markers", marker=key, **named), 1, 1)
     figure.update_layout(shapes=[upright(0, 1, "dot"), upright(1, 1, "dot")])
     figure.update_yaxes(type="log", tickvals=TICKS, ticktext=[f"{at:g}" for at in TICKS])
-    footprint = "footprint (0: like the policy itself, 1: as without weights)"
+    footprint = "footprint (0: the policy itself, 1: as without weights)"
     figure.update_xaxes(title_text=footprint, col=1)
     figure.update_xaxes(title_text="return of the next evaluation", col=2)
     figure.update_yaxes(title_text="one-step error in the exam (std)", col=1)

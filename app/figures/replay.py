@@ -65,7 +65,7 @@ def episode_curves(replay: Replay, frame: int, height: int) -> go.Figure:
     figure = _of_episode(replay, lines, words, frame, height, "rewards")
     nothing = replay.imagined is not None and not np.isfinite(replay.error).any()
     return note(
-        figure, ["no distance: one step, or states that change alike, have no scale"] * nothing
+        figure, ["no distance: a single step, or steps that are all alike, give no scale"] * nothing
     )
 
 

@@ -16,7 +16,7 @@ from tom.analysis.why import Sum
 NAMES = {
     REGION: "held-out, in the region",
     REST: "held-out, elsewhere",
-    POLICY: "what the policy does anew",
+    POLICY: "new steps of the policy",
 }
 BELOW = "#6f9fe8"
 
@@ -55,7 +55,7 @@ def error_bars(brushed: Brushed, height: int, mode: Mode) -> go.Figure:
                 "(%{customdata[1]:.3f} to %{customdata[2]:.3f})<extra>%{fullData.name}</extra>",
             )
         )
-    marks, y = [across(1, 1.5, "dash")], "one-step error, times that of the weights as they are"
+    marks, y = [across(1, 1.5, "dash")], "one-step error over that with unchanged weights"
     bars = {"barmode": "group", "bargap": 0.25}
     styled(figure, "", height, keep=f"brush {brushed.name}", marks=marks, y=y, **bars)
     seeds = len(next(iter(brushed.errors[regions[0]].values())))
@@ -108,7 +108,7 @@ def rollout_lines(
     y = np.concatenate([paths, gaps], 1).ravel()
     named = {"name": "rollouts of the policy in the model", "opacity": 0.45}
     figure.add_trace(line(x, y, learner_colour(learner), 1.2, f"{hover}model</extra>", **named))
-    named = {"name": "recorded, by the policy of its time", "mode": "lines+markers"}
+    named = {"name": "recorded, by the policy at the time", "mode": "lines+markers"}
     marked = {**named, "marker": {"size": 5}}
     steps = np.arange(len(recorded))
     figure.add_trace(line(steps, recorded, NEUTRAL, 2.5, f"{hover}recorded</extra>", **marked))

@@ -89,7 +89,7 @@ def command(
     explored = getattr(config, "exploration_steps", 0)  # offline runs have no exploration
     if config.steps <= explored:
         raise UserError(
-            f"{config.steps:,} steps are all exploration, and nothing is learnt: ask for more than "
+            f"{config.steps:,} steps are all exploration, so nothing is learnt: ask for more than "
             f"{explored:,}, or set exploration steps lower"
         )
     options = [f"--{path.replace('_', '-')}={words}" for path, words in given.items()]

@@ -50,11 +50,11 @@ CALLS = {
 """what a loop of one's own calls for its record to have a part"""
 KEYS = {
     "Space": "play or pause the timeline",
-    "← →": "one fit or evaluation back or on",
+    "← →": "one fit or evaluation back or forward",
     "/": "search the runs",
     "?": "this help",
     "Alt + eye": "show a run or a group alone",
-    "Back": "the view before this one",
+    "Back": "the previous view",
 }
 _HELP = "".join(f"<dt><kbd>{key}</kbd></dt><dd>{what}</dd>" for key, what in KEYS.items())
 _FRAME = f"""<div class="frame"><button type="button" class="theme"></button>

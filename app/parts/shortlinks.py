@@ -17,8 +17,8 @@ from tom.record.store import Store
 
 CODE = re.compile(r"[0-9a-f]{8}")
 NOWHERE = (
-    "No view is kept as {} in this studio's store. A short link works only where it was made: with "
-    "the same store, and as long as its folder .views is there. Ask for the long address."
+    "This studio's store has no view {}. A short link works only with the store it was made in, as "
+    "long as that store's folder .views exists. Ask for the long address."
 )
 
 

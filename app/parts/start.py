@@ -52,7 +52,7 @@ def first_page() -> None:
     left, right = st.columns(2)
     with left, st.container(border=True):
         st.subheader("Start a first comparison", anchor=False)
-        st.write("TOM and MLE on inverted pendulum, one after the other: about three minutes.")
+        st.write("TOM, then MLE, on the inverted pendulum; about three minutes.")
         if why := session.read_only_reason():
             st.caption(why)
         elif not jobs.runs(FIRST) and st.button("Start it", type="primary", icon=PLAY):
@@ -109,11 +109,11 @@ def _form() -> None:
         preset = row[2].selectbox(
             "Preset", list(PRESETS), key="start preset",
             help="paper: the paper's table (appendix C.1); mended: the same with TOM's objective "
-            "mended; released: with the released code's choices; mbpo: Janner's MBPO; smoke: small "
-            "and quick",
+            "repaired; released: with the released code's choices; mbpo: Janner's MBPO; smoke: "
+            "small and quick",
         )  # fmt: skip
         seeds = row[3].text_input(
-            "Seeds", "0", key="start seeds", help="one training each: 0, or 0-2, or 0, 3"
+            "Seeds", "0", key="start seeds", help="one training per seed: 0, or 0-2, or 0, 3"
         )
         try:
             usual = resolve(env, learner, preset).steps
@@ -124,7 +124,7 @@ def _form() -> None:
             "Steps", 1, None, usual, key=f"start steps {env} {preset}", help="env steps of each run"
         )
         given = {"steps": str(steps)} if steps != usual else {}
-        with st.expander("More settings: empty means the preset's value"):
+        with st.expander("More settings (empty: the preset's value)"):
             given |= _settings(form.sections(env, learner, preset))
         try:
             store = session.links().store
@@ -168,11 +168,11 @@ def _begin(commands: Sequence[Sequence[str]]) -> None:
     if left.button(label, type="primary", icon=PLAY, key="start"):
         for words in commands:  # the time tells two of the same command apart
             jobs.start(f"{form.shown(words)}, {time.strftime('%H:%M:%S')}", words)
-        st.toast("Started: it appears below in a few seconds.", icon=PLAY)
+        st.toast("Started. It appears below in a few seconds.", icon=PLAY)
     right.code(form.shown(commands[0]), language="bash", wrap_lines=True)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    others = f" The others differ in the seed. {len(commands)} trainings on {cores} cores."
-    st.caption("Runs on this machine, and goes on when the studio is closed." + others * many)
+    others = f" The others differ only in the seed. {len(commands)} trainings on {cores} cores."
+    st.caption("Runs on this machine, and continues if the studio is closed." + others * many)
 
 
 def _cards() -> None:
@@ -253,11 +253,11 @@ def log_of(run: RunReader) -> str:
 
 def _stop(run: RunReader) -> None:
     if run.run_id in _asked():
-        st.caption("stopping", help="it ends after its step and writes a checkpoint")
+        st.caption("stopping", help="it finishes its step and writes a checkpoint")
         return
     # on_change: it stays open when the page is drawn again
     with st.popover("Stop", key=f"stop {run.run_id}", width="stretch", on_change="rerun"):
-        st.write("The training ends after this step and writes a checkpoint. To go on with it:")
+        st.write("The training finishes its step and writes a checkpoint. To continue it later:")
         st.code(resume(run), language="bash")
         if st.button("Stop this training", key=f"stop {run.run_id} now", type="primary"):
             try:

@@ -131,16 +131,14 @@ def stage(choice: Choice, height: int, part: str = "", *, compact: bool = False)
     """
     links = session.links()
     if not links.folder:
-        st.caption("The 3D scene runs when the studio is started with `tom studio`.")
+        st.caption("For the 3D scene, start the studio with `tom studio`.")
         return
     client = f"{session.client()}{part}"
     try:
         tell(str(links.file("control")), client, Selection(choice, session.mode(), compact))
     except OSError:
         said = links.file("scenes.log").read_text(errors="replace").strip().rpartition("\n")[2]
-        st.warning(
-            f"The 3D server does not answer; it is started again by itself. {text.markdown(said)}"
-        )
+        st.warning(f"The 3D server does not answer and is being restarted. {text.markdown(said)}")
     st.iframe(links.viser(client, session.mode()), height=height, alt="3D scene")
 
 
@@ -151,7 +149,7 @@ def rerun(run: RunReader, height: int, name: str = "") -> None:
     """
     links = session.links()
     if not links.folder:
-        st.caption("The Rerun viewer runs when the studio is started with `tom studio`.")
+        st.caption("For the Rerun viewer, start the studio with `tom studio`.")
         return
     recorded = readers.recordings(run)
     every = [LIVE] if run.status.alive or not recorded else recorded

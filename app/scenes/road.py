@@ -24,8 +24,8 @@ from tom.machine.address import free_port
 LAYERS = (
     ("columns", "weights as columns", True),
     ("flat", "weights as colours", False),
-    ("expert", "expert's ways", True),
-    ("learnt", "learnt policy's ways", True),
+    ("expert", "expert's paths", True),
+    ("learnt", "learnt policy's paths", True),
     ("cars", "cars", True),
     ("true", "real displacement", False),
     ("modelled", "modelled displacement", False),

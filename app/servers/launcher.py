@@ -34,8 +34,8 @@ RETURNING = {
 }
 """settings under which a server's threads return what they have freed"""
 OPEN = (
-    "tom studio: reachable from other machines, without a password: runs can be read by everybody "
-    "who reaches this host"
+    "tom studio: reachable from other machines without a password; everybody who reaches this host "
+    "can read the runs"
 )
 STOP_GRACE_S = 3.0
 LOG_TAIL = 12

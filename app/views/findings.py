@@ -43,10 +43,10 @@ def page(scope: Scope) -> None:
             address.keep("study", [])
             _cards(listed)
     else:
-        st.info(f"No study has been computed yet: none lies in `{studies.FOLDER.absolute()}`.")
+        st.info(f"No study has been computed yet: there is none in `{studies.FOLDER.absolute()}`.")
     others = [name for name in QUESTIONS if name not in by_name]
     if others:
-        with st.expander("Studies that have not been computed here", expanded=not listed):
+        with st.expander("Studies not computed here", expanded=not listed):
             _offer(others)
 
 

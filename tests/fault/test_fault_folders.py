@@ -134,7 +134,7 @@ def test_a_run_whose_checkpoints_cannot_be_read_for_now__is_not_begun_beside_its
     with pytest.raises(TryLaterError):
         unfinished(store, resumable_config(run))
     assert "cannot be read" in "\n".join(verify(run))
-    assert "cannot go on" not in "\n".join(verify(run))
+    assert "cannot be resumed" not in "\n".join(verify(run))
 
 
 @pytest.mark.quick
@@ -261,7 +261,7 @@ def test_code_in_an_array_file__is_not_executed_and_the_file_named(
     reader.episodes(80)
     assert name == "policy.npz" or name in reader.problems[0]
     if name == "policy.npz":
-        with pytest.raises(UserError, match="is no stored policy"):
+        with pytest.raises(UserError, match="is not a stored policy"):
             read_policy(run.path / name)
     assert not (tmp_path / "executed").exists()
 

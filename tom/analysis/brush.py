@@ -66,7 +66,7 @@ def brushed(weights: Tensor, region: Tensor, factor: float) -> Tensor:
     """
     normalised, degenerate = normalise(torch.where(region, factor * weights, weights))
     if degenerate:
-        raise UserError("all of the weight lies in the region: nothing is left without it")
+        raise UserError("the region holds all of the weight: nothing is left without it")
     return normalised
 
 
@@ -102,9 +102,7 @@ def fits(
         for factor, of_all in every.items():
             own, degenerate = normalise(of_all[kept])
             if degenerate:
-                raise UserError(
-                    "the episodes that are left to fit to have no weight: draw another region"
-                )
+                raise UserError("the episodes left for the fit have no weight: draw another region")
             # Clipped for the fit, as TOM's are in a training.
             model = fit_model(rows[kept], Weighting(own, clipped=True), config, seed)
             errors = {

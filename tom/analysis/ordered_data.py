@@ -71,7 +71,7 @@ def load_data(
         )
     if step is not None:
         raise UserError(
-            f"--step {step} is a step of a run, and {name} is none: leave it out, and name "
+            f"--step {step} is a step of a run, and {name} is not one: leave it out, and name "
             "an earlier policy by its file (RUN/policies/)"
         )
     if env is None:

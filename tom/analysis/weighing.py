@@ -86,7 +86,9 @@ def load_policy(name: str, store: Store, known: Task, step: int | None = None) -
         return UniformPolicy(known.obs_dim, known.action_dim)
     run = None if is_foreign(name) else find_run(name, store)
     if run is None and step is not None:
-        raise UserError(f"--step {step} is a step of a run, and policy {name} is none: name a run")
+        raise UserError(
+            f"--step {step} is a step of a run, and policy {name} is not one: name a run"
+        )
     if is_foreign(name):
         return foreign_policy(name, known.obs_dim, action_bounds(known), known.own_obs)
     path = Path(name)
@@ -261,7 +263,7 @@ def plan_weighing(
     ValidationError for a wrong setting.
     """
     if footprint < 1:
-        raise UserError(f"a footprint of {footprint} steps is none: it takes at least 1")
+        raise UserError(f"a footprint of {footprint} steps is impossible: it takes at least 1")
     rows = _data(data, policy, store, env, step)
     known = task(rows.env)
     preset = preset or (EXACT if step is None else OWN)
@@ -342,7 +344,7 @@ def _preset(preset: str, data: str, store: Store, env: str) -> RunConfig:
     if preset == OWN:
         if (run := find_run(data, store)) is None:
             raise UserError(
-                f"{data} is no run, so it has no settings: --preset exact, paper or mended"
+                f"{data} is not a run, so it has no settings: --preset exact, paper or mended"
             )
         of = recorded_config(run, "name --preset exact, paper or mended")
     else:

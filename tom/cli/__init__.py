@@ -14,13 +14,13 @@ from tom.errors import BAD_INPUT, DISK_FULL, TRY_LATER, UserError, reason
 from tom.harmless import terminal
 
 COMMANDS = {
-    "demo": "train two small comparisons while the studio shows them",
+    "demo": "train two small comparisons and watch them in the studio",
     "train": "train a learner in an environment",
     "studio": "open the studio in the browser",
     "record-sac": "record SAC's replay in order, for `tom weigh`",
-    "weigh": "weigh recorded data by a policy",
-    "brush": "fit a small model with a region of the buffer counting more or less",
-    "sweep": "train many: every environment with every learner and seed",
+    "weigh": "weigh recorded data for a policy",
+    "brush": "fit a small model in which a region of the buffer counts more or less",
+    "sweep": "train every environment with every learner and seed",
     "reproduce": "reproduce a claim of the paper",
     "bench": "measure this machine",
     "runs": "list, label, check, export and tidy the runs of a store",

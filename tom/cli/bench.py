@@ -34,11 +34,10 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         nargs="?",
         default="parts",
         choices=(*MEASUREMENTS, "studio"),
-        help="parts: what each part of a training costs, and whole trainings from that [the "
-        "default]; step: a whole env step of the paper's Hopper; "
-        "memory: a full Humanoid buffer; record: the cost of recording, and of "
-        "listing 1000 runs; studio: how long its pages take over a store of 200 runs (--map: the "
-        "buffer's map in a browser)",
+        help="parts: the cost of each part of a training, and of whole trainings projected from "
+        "it [the default]; step: a whole env step of the paper's Hopper; memory: a full Humanoid "
+        "buffer; record: the cost of recording, and of listing 1000 runs; studio: how long its "
+        "pages take with a store of 200 runs (--map: the buffer's map in a browser)",
     )
     parser.add_argument(
         "--repeats", type=whole(1), default=9, help="interleaved repeats [9] (parts)"
@@ -46,7 +45,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     add_json(parser)
     parser.add_argument("--runs", type=int, help="runs in the store [200] (studio)")
     parser.add_argument(
-        "--map", action="store_true", help="the buffer's map in a browser, instead (studio)"
+        "--map", action="store_true", help="the buffer's map in a browser instead (studio)"
     )
     parser.set_defaults(run=run)
 

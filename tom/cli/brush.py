@@ -34,22 +34,24 @@ HORIZON = 20
 def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "brush",
-        description="Multiply the weights of some transitions of a run's buffer, fit a small model "
-        "afresh by them, and measure what it has lost or gained on held-out episodes. Writes a "
+        description="Multiply the weights of some transitions of a run's buffer, fit a new small "
+        "model by them, and measure what it loses or gains on held-out episodes. Writes a "
         "weighing, with the errors in report.json and the ghosts of an episode in ghosts.npz.",
     )
     parser.add_argument("run_name", metavar="RUN", help="a run (id or folder)")
-    parser.add_argument("--env", help="the run's task, if it is of a module of yours: MODULE:ID")
-    parser.add_argument("--rows", type=Path, required=True, help="a text file: row numbers, from 0")
+    parser.add_argument("--env", help="the run's task, if it is in a module of yours: MODULE:ID")
     parser.add_argument(
-        "--step", type=whole(1), required=True, metavar="N", help="a kept model fit"
+        "--rows", type=Path, required=True, help="a text file of row numbers, from 0"
+    )
+    parser.add_argument(
+        "--step", type=whole(1), required=True, metavar="N", help="step of a kept model fit"
     )
     parser.add_argument(
         "--weighing", help="the weights are COLUMN of a weighing: FOLDER:COLUMN [the run's own]"
     )
     parser.add_argument(
         "--factors", nargs="+", type=float, default=list(FACTORS), metavar="X",
-        help="the region's weights are multiplied by these [0 0.25 4]",
+        help="factors for the region's weights [0 0.25 4]",
     )  # fmt: skip
     parser.add_argument("--seeds", nargs="+", type=whole(0), default=[0, 1, 2], metavar="N")
     parser.add_argument("--hidden", type=whole(1), default=SMALL.hidden, help="[%(default)s]")
@@ -121,7 +123,7 @@ def _region(path: Path, data: OrderedData, step: int) -> NDArray[np.bool_]:
         numbers = np.array(path.read_text().split(), np.int64)
     except (OSError, ValueError, OverflowError) as error:
         raise UserError(
-            f"--rows {path}: {reason(error)}; write row numbers into it, one a line"
+            f"--rows {path}: {reason(error)}; write row numbers into it, one per line"
         ) from None
     first = data.end - len(data)
     if not len(numbers) or numbers.min() < first or numbers.max() >= data.end:

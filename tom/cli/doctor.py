@@ -41,7 +41,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "doctor",
         description="Check versions, cores, memory, GPU, browser, disk "
-        "and store, with the fix beside each finding. Exit code 1 where something is bad.",
+        "and store, with the fix beside each finding. Exit code 1 if something is bad.",
     )
     add_store(parser)
     add_json(parser)
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     findings = [{"check": name, **check(name, args.store)._asdict()} for name in CHECKS]
     bad = sum(found["state"] == "bad" for found in findings)
     rows = [list(found.values()) for found in findings]
-    title = f"{bad} things to mend" if bad else "ready"
+    title = f"{bad} things to fix" if bad else "ready"
     put_out(args, findings, lambda: show(title, ("check", "is", "found", "fix"), rows))
     return 1 if bad else 0
 
@@ -97,8 +97,8 @@ def _machine(_: Path) -> Finding:
     free, cache = memory.available(), memory.STUDIO_CACHE_BYTES
     cores = len(os.sched_getaffinity(0))
     text = (
-        f"{cores} cores, on each of which `tom sweep` trains a run; {size(free)} of memory free, "
-        f"of which each of the studio's two servers takes {size(STUDIO_BYTES + cache)} at most"
+        f"{cores} cores (`tom sweep` trains one run on each); {size(free)} of memory free (each of "
+        f"the studio's two servers takes at most {size(STUDIO_BYTES + cache)})"
     )
     if free > 2 * (cache + STUDIO_BYTES):
         return Finding("ok", text)
@@ -106,7 +106,7 @@ def _machine(_: Path) -> Finding:
 
 
 def _gpu(_: Path) -> Finding:
-    fix = "install the CUDA build of the torch version above, and a driver as new as it asks for"
+    fix = "install the CUDA build of the torch version above, and a driver new enough for it"
     if torch.cuda.is_available():
         card = torch.cuda.get_device_properties(0)
         try:
@@ -115,7 +115,7 @@ def _gpu(_: Path) -> Finding:
             return Finding("bad", f"{card.name}: {reason(error)}", fix)
         return Finding("ok", f"{card.name}, {size(card.total_memory)}")
     if Path("/dev/nvidia0").exists():
-        return Finding("bad", f"there is one, but torch {torch.__version__} sees none", fix)
+        return Finding("bad", f"present, but torch {torch.__version__} does not see it", fix)
     return Finding("note", "none: trainings run on the CPU, one core each")
 
 
@@ -123,7 +123,7 @@ def _chromium(_: Path) -> Finding:
     path = shutil.which("chromium") or shutil.which("chromium-browser")
     if path:
         return Finding("ok", path)
-    text = "none: `tom studio --screenshots` and the browser tests need it, nothing else does"
+    text = "none; only `tom studio --screenshots` and the browser tests need it"
     return Finding("note", text, "apt-get install chromium")
 
 
@@ -139,7 +139,9 @@ def _disk(store: Path) -> Finding:
     text = f"{free:.0f} GB free for {store}/"
     if free >= LOW_GB:
         return Finding("ok", text)
-    fix = "`tom runs prune` and `rm -r STORE/.trash` make room, `du -sh STORE/*` says where"
+    fix = (
+        "`tom runs prune` and `rm -r STORE/.trash` free space; `du -sh STORE/*` shows what uses it"
+    )
     return Finding("bad" if free < FULL_GB else "note", text, fix)
 
 
@@ -147,8 +149,8 @@ def _store(path: Path) -> Finding:
     """Check each run without reading its arrays."""
     store = Store(path)
     if not path.exists():
-        fix = "the first training makes it, or name another with --store"
-        return Finding("note", f"{path}/ is not there yet", fix)
+        fix = "the first training creates it, or name another with --store"
+        return Finding("note", f"{path}/ does not exist yet", fix)
     runs = store.runs()
     for run in runs:
         _ = run.status, run.labels
@@ -156,11 +158,11 @@ def _store(path: Path) -> Finding:
     dead = [run.run_id for run in runs if run.status.shown == "dead"]
     text = f"{len(runs)} runs in {path}/"
     if damaged:
-        fix = "`tom runs verify` says what, `tom runs repair RUN` mends it"
+        fix = "`tom runs verify` lists the damage, `tom runs repair RUN` repairs it"
         return Finding("bad", f"{text}; with problems: {', '.join(damaged)}", fix)
     if dead:
-        fix = "`tom train --resume RUN` goes on, `tom runs repair RUN` ends it"
-        return Finding("note", f"{text}; died without a word: {', '.join(dead)}", fix)
+        fix = "`tom train --resume RUN` continues it, `tom runs repair RUN` ends it"
+        return Finding("note", f"{text}; dead without a reason: {', '.join(dead)}", fix)
     return Finding("ok", text)
 
 

@@ -21,14 +21,14 @@ def folder(text: str) -> Path:
     """The type of a folder argument, for argparse."""
     if "://" in text:
         raise argparse.ArgumentTypeError(
-            f"{text} is no folder; runs in an object store are fetched first: "
+            f"{text} is not a folder; fetch runs from an object store first: "
             "tom runs fetch s3://BUCKET/PREFIX --store runs"
         )
     return Path(text)
 
 
 def add_store(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store [runs/]")
 
 
 def add_json(parser: argparse._ActionsContainer, text: str = "print JSON") -> None:
@@ -39,7 +39,7 @@ def add_accept_versions(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--accept-versions",
         action="store_true",
-        help="go on with runs of other versions of torch, gymnasium or mujoco: other numbers",
+        help="continue runs of other versions of torch, gymnasium or mujoco; their numbers change",
     )
 
 

@@ -14,15 +14,15 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "record-sac",
         description="Record N random steps, then N steps of soft actor-critic in order, with the "
-        "MuJoCo states and the final policy. `tom weigh RUN --policy RUN` shows what the learners "
-        "make of it.",
+        "MuJoCo states and the final policy. `tom weigh RUN --policy RUN` shows how the learners "
+        "weigh it.",
     )
     parser.add_argument("--env", required=True, metavar="ENV", help=f"{', '.join(ENVS)}, {ANY}")
     parser.add_argument(
         "--resume",
         choices=("auto",),
-        help="auto: go on with the newest recording of this very command that is not complete, or "
-        "begin a new one (a recording by its name: tom train --resume RUN)",
+        help="auto: continue the newest incomplete recording of this same command, or begin a new "
+        "one (to continue a recording by name: tom train --resume RUN)",
     )
     parser.add_argument("--run-id", help="name of the run folder [env-sac-seed-time]")
     add_run_options(parser)

@@ -46,7 +46,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "reproduce",
         description="Reproduce a claim of the paper: compute it, print its acceptance figures and "
-        "write its figure and table. Exit code 0 where all figures are met, 1 otherwise.",
+        "write its figure and table. Exit code 0 if all figures are met, else 1.",
     )
     studies = parser.add_subparsers(title="studies", metavar="STUDY", required=True)
     for study in STUDIES:
@@ -76,9 +76,9 @@ def run(study: ModuleType, args: Namespace) -> int:
     except KeyboardInterrupt:
         say("stopped")
     except BrokenProcessPool:
-        say("a process was killed; fewer --jobs need less memory. The same command goes on")
+        say("a process was killed; fewer --jobs need less memory. The same command continues")
     except OSError as error:
-        say(f"{error}. The same command goes on")
+        say(f"{error}. The same command continues")
     except DivergedError as error:
         say(f"failed: {error}")
     return 1

@@ -56,7 +56,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         added = verbs.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         # Suppressed: the options may also stand before the verb.
         kept: dict[str, Any] = {"default": argparse.SUPPRESS}
-        added.add_argument("--store", type=folder, help="run store (runs/)", **kept)
+        added.add_argument("--store", type=folder, help="run store [runs/]", **kept)
         added.add_argument("--json", action="store_true", help="print JSON", **kept)
         for option, options in own:
             added.add_argument(option, **options)
@@ -192,7 +192,7 @@ def _text(value: Any) -> str:
     "add tags to a run, or remove some",
     RUN,
     argument("add", metavar="TAG", nargs="*"),
-    argument("--remove", metavar="TAG", nargs="+", default=[], help="take these away"),
+    argument("--remove", metavar="TAG", nargs="+", default=[], help="tags to remove"),
 )
 @verb("note", 'give a run a note ("" takes it away)', RUN, argument("note", metavar="TEXT"))
 def label(args: argparse.Namespace) -> int:
@@ -253,14 +253,14 @@ def repair(args: argparse.Namespace) -> int:
     "write runs [all finished ones] in another format",
     ANY,
     argument("--format", choices=tuple(EXPORTERS), help="[csv]"),
-    argument("--small", action="store_true", help="a small copy of runs, to show and share"),
+    argument("--small", action="store_true", help="write small copies, to show and share"),
     argument(
         "--keep", nargs="+", choices=tuple(OPTIONAL), default=[], metavar="PART",
-        help="what a small copy keeps whatever its size: " + ", ".join(OPTIONAL),
+        help="parts that a small copy keeps at any size: " + ", ".join(OPTIONAL),
     ),
     argument(
         "--without", nargs="+", choices=(*SERIES, *OPTIONAL), default=[], metavar="PART",
-        help=f"what a small copy leaves out: {', '.join(SERIES)}, of which it else has a few, "
+        help=f"parts that a small copy leaves out: {', '.join(SERIES)} (else it has a few), "
         + ", ".join(OPTIONAL),
     ),
     argument(
@@ -271,7 +271,7 @@ def repair(args: argparse.Namespace) -> int:
 )  # fmt: skip
 def export_runs(args: argparse.Namespace) -> int:
     if (args.keep or args.without) and not args.small:
-        raise UserError("--keep and --without are about a small copy: add --small")
+        raise UserError("--keep and --without apply to a small copy: add --small")
     asked = {"--format": args.format, "--small": args.small or None, "--rows": args.rows}
     chosen = [name for name, value in asked.items() if value is not None]
     if len(chosen) > 1:
@@ -314,7 +314,7 @@ def index(args: argparse.Namespace) -> int:
     "delete old checkpoints of runs [all finished ones]",
     ANY,
     argument("--keep", type=whole(0), default=1, help="checkpoints to keep of each run [1]"),
-    argument("--dry-run", action="store_true", help="say what it would free"),
+    argument("--dry-run", action="store_true", help="only say what it would free"),
 )
 def prune(args: argparse.Namespace) -> int:
     runs = _chosen(Store(args.store), args.run_ids, finished=True)
@@ -327,7 +327,7 @@ def prune(args: argparse.Namespace) -> int:
 
 @verb(
     "import",
-    "make runs of what another tracker recorded, for Curves",
+    "turn what another tracker recorded into runs, for Curves",
     argument(
         "path", metavar="PATH", help="TensorBoard's event file or folder, or W&B's exported CSV"
     ),
@@ -335,7 +335,7 @@ def prune(args: argparse.Namespace) -> int:
     argument("--name", default="", help="name of the run [the file's]"),
     argument(
         "--return", dest="returned", default="", metavar="METRIC",
-        help="the metric that is the return [eval/mean_reward and the like]",
+        help="the metric to take as the return [eval/mean_reward or similar]",
     ),
 )  # fmt: skip
 def import_runs(args: argparse.Namespace) -> int:

@@ -48,27 +48,27 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "sweep",
         usage="tom sweep --env ENV ... --learner LEARNER ... [--seeds N ...] [options]",
-        description="Train every environment with every learner and seed. Runs that are done are "
-        "skipped, broken ones go on from their checkpoint, and one that ends "
-        f"{ATTEMPTS} times without getting further is reported and left. Ctrl-C stops all "
-        "cleanly; the same command goes on.",
+        description="Train every environment with every learner and seed. Finished runs are "
+        "skipped, and broken ones continue from their checkpoint. A run that ends "
+        f"{ATTEMPTS} times without progress is reported and left. Ctrl-C stops all cleanly; the "
+        "same command continues.",
     )
     parser.add_argument("--env", nargs="+", metavar="ENV", help=f"{', '.join(ENV_NAMES)}, {ANY}")
     parser.add_argument("--learner", nargs="+", metavar="LEARNER", help=", ".join(LEARNERS))
     parser.add_argument(
-        "--seeds", type=whole(0), nargs="+", metavar="N", help="a run for each of them [0]"
+        "--seeds", type=whole(0), nargs="+", metavar="N", help="one run per seed [0]"
     )
     parser.add_argument("--steps", type=int, metavar="N", help="env steps of each run")
-    parser.add_argument("--file", type=Path, help="the same in YAML; options here come on top")
+    parser.add_argument("--file", type=Path, help="the same in YAML; options here override it")
     parser.add_argument(
-        "--store", type=_place, default=Path("runs"), help="run store, or s3://... (runs/)"
+        "--store", type=_place, default=Path("runs"), help="run store, or s3://... [runs/]"
     )
-    parser.add_argument("--jobs", type=whole(1), metavar="N", help="runs at a time [one a core]")
+    parser.add_argument("--jobs", type=whole(1), metavar="N", help="runs at a time [one per core]")
     parser.add_argument(
         "--engine",
         choices=("local", "ray", "slurm"),
         default="local",
-        help="local: processes, one a core; ray: processes on the machines of a Ray cluster; "
+        help="local: processes, one per core; ray: processes on the machines of a Ray cluster; "
         "slurm: print an array script [local]",
     )
     parser.add_argument(
@@ -78,8 +78,10 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )
     add_accept_versions(parser)
     parser.add_argument("--only", type=whole(0), metavar="I", help="only the I-th run of the plan")
-    parser.add_argument("--dry-run", action="store_true", help="what would run, hours and disk")
-    add_json(parser, "print the outcome as JSON")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="print what would run, its hours and disk space"
+    )
+    add_json(parser, "print the result as JSON")
     add_training_options(parser, arguments, leave_out=OWN_OPTIONS)
     parser.set_defaults(run=run)
 
@@ -132,11 +134,11 @@ def _planned(args: argparse.Namespace) -> list[Trial]:
     bring_rule(model.get("termination") if isinstance(model, dict) else None)
     planned = trials(plan)
     if args.address is not None and args.engine != "ray":
-        raise UserError("--address is that of a Ray cluster: add --engine ray")
+        raise UserError("--address is the address of a Ray cluster: add --engine ray")
     if args.engine == "ray" and any(trial.config.device != "cpu" for trial in planned):
-        raise UserError("--engine ray trains on CPUs, one run a core: leave out --device")
+        raise UserError("--engine ray trains on CPUs, one run per core: leave out --device")
     if args.engine == "slurm" and isinstance(args.store, str):
-        raise UserError(f"--engine slurm needs a folder: --store {args.store} is none")
+        raise UserError(f"--engine slurm needs a folder, and --store {args.store} is not one")
     if args.only is None:
         return planned
     if args.engine == "slurm":
@@ -176,7 +178,7 @@ def drive(args: argparse.Namespace, driver: Driver) -> int:
     done, failed = states.count("finished"), states.count("failed")
     print(f"{done} of {len(states)} runs finished, {failed} failed", file=stream)
     if done + failed < len(states):
-        print("stopped: the same command goes on", file=stream)
+        print("stopped: the same command continues", file=stream)
     if isinstance(args.store, str):
         print(f"to look at them: tom runs fetch {args.store} --store runs", file=stream)
     return 0 if done == len(states) else 1
@@ -277,5 +279,7 @@ def _dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], j
     if not to_do or any(row["hours"] is not None for row in to_do):  # else nobody knows
         print(f"about {hours:.1f} h with {jobs} at a time and {readable.size(1e6 * megabytes)}")
     if unknown := sorted({f"{r['env']} {r['learner']}" for r in to_do if r["hours"] is None}):
-        print(f"without {', '.join(unknown)}: {args.store} has no finished run to judge them by")
+        print(
+            f"without {', '.join(unknown)}: {args.store} has no finished run to estimate them from"
+        )
     return 0

@@ -57,8 +57,8 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument(
         "--resume",
         metavar="RUN|auto",
-        help="go on with a run from its last checkpoint (with --steps: to that step); auto: the "
-        "newest run of this very command, or of fewer steps, that is not complete; else a new one",
+        help="continue a run from its last checkpoint (with --steps: to that step); auto: the "
+        "newest incomplete run of this same command, or of fewer steps, else a new one",
     )
     parser.add_argument("--run-id", help="name of the run folder [env-learner-seed-time]")
     add_run_options(parser)
@@ -103,7 +103,7 @@ def begin(config: AnyConfig, args: argparse.Namespace) -> int:
     if there:
         with closing(lock.acquire(run.path)):
             place = manage.into_trash(store, run.path)
-        print(f"{run.run_id}: began anew; what was there is in {place}", file=sys.stderr)
+        print(f"{run.run_id}: started from scratch; the old folder is in {place}", file=sys.stderr)
     return record(config, args)
 
 
@@ -166,7 +166,7 @@ def _new_steps(args: argparse.Namespace, settings: dict[str, Any]) -> str | None
     Raises UserError for other options that differ from what the run was made with.
     """
     if args.run_id is not None:
-        raise UserError(f"--resume {args.resume} is about that run alone: leave out --run-id")
+        raise UserError(f"--resume {args.resume} already names the run: leave out --run-id")
     recorded = Store(args.store).run(args.resume)
     rule = settings.get("model", {}).pop("termination", None)  # named only to be imported
     own_rule = recorded.given.get("model", {}).get("termination")
@@ -178,11 +178,11 @@ def _new_steps(args: argparse.Namespace, settings: dict[str, Any]) -> str | None
     ):
         if value not in (None, own):
             raise UserError(
-                f"{option} {value}: run '{args.resume}' was made with {own} and goes on with it: "
+                f"{option} {value}: run '{args.resume}' was made with {own} and continues with it: "
                 f"leave out {option}"
             )
     if {name for name, value in settings.items() if value != {}} - {"steps"}:
-        raise UserError("--resume takes --steps alone: a run goes on with its own settings")
+        raise UserError("--resume takes only --steps: a run continues with its own settings")
     return settings.get("steps")
 
 

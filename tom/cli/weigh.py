@@ -34,13 +34,13 @@ COLUMNS = (
     *("footprint", "footprint_se", "footprint_noise"),
 )
 FOOTPRINT = (
-    "footprint: distance to fresh episodes of the policy, 1 without weights, 0 for its own; "
+    "footprint: distance to fresh episodes of the policy (1: as without weights, 0: its own); "
     "se: its standard error over those episodes (-: fewer than five); noise: the distance of two "
     "halves of them"
 )
 COLLECTED_BY = (
-    "policies that collected DATA, one for each policy_version above 0 in order, or one for all: "
-    "for learners that need them, where DATA has no columns behaviour_mean and behaviour_log_std"
+    "policies that collected DATA, one for each policy_version above 0 in order, or one for all; "
+    "for learners that need them if DATA lacks the columns behaviour_mean and behaviour_log_std"
 )
 SETTINGS = ("tom.", "pmac.", "vagram.", "threads", "matmul")
 
@@ -61,23 +61,23 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument("--env", help=f"the task of a dataset: {', '.join(ENVS)}, {ANY}")
     parser.add_argument(
         "--step", type=whole(1), metavar="N",
-        help="of a run: its buffer and its policy at the model fit of env step N [at the end]",
+        help="take a run's buffer and policy at the model fit of env step N [at the end]",
     )  # fmt: skip
     parser.add_argument(
         "--collected-by", nargs="+", default=[], metavar="POLICY", help=COLLECTED_BY
     )
     parser.add_argument("--seeds", nargs="+", type=whole(0), default=[0, 1, 2], metavar="N")
     parser.add_argument(
-        "--bins", type=whole(1, MOST_BINS), default=100, metavar="N", help="of a profile [100]"
+        "--bins", type=whole(1, MOST_BINS), default=100, metavar="N", help="bins of a profile [100]"
     )
     parser.add_argument(
         "--footprint", type=whole(1), default=1000, metavar="N",
-        help="real transitions of the policy that TOM compares with [1000]",
+        help="number of the policy's real transitions that TOM compares with [1000]",
     )  # fmt: skip
     parser.add_argument(
         "--preset",
-        help="exact (of TOM), or a training's: paper, mended, released; own: the run's settings "
-        "[own with --step, else exact]",
+        help="exact (of TOM), or a training's preset: paper, mended, released; own: the run's "
+        "settings [own with --step, else exact]",
     )
     parser.add_argument("--out", type=Path, help="new folder [STORE/weighings/DATA-by-POLICY-TIME]")
     add_store(parser)

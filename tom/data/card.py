@@ -292,7 +292,7 @@ def _of_task(card: Card) -> Iterator[Notice]:
     if missed > 0.1 * card.terminations or invented > 1 + 1e-3 * card.rows:
         yield (
             "rule",
-            f"the termination rule {card.rule} contradicts the recorded ends: it does not know "
+            f"the termination rule {card.rule} contradicts the recorded ends: it misses "
             f"{missed:,} of {card.terminations:,} terminations and would end {invented:,} of "
             f"{card.rows - card.terminations:,} other rows: another task's data, or a rule that is "
             "wrong (inverted, too tight, in other units); `--termination learnt` learns it from "
@@ -316,7 +316,7 @@ def _of_policy(card: Card) -> Iterator[Notice]:
     if policy.drawn:
         yield (
             "policy-spread",
-            "the policy's first output is drawn anew at each call, so it is an action and no mean: "
+            "the policy's first output differs at each call, so it is an action, not a mean: "
             "it is taken as the action, without the second (a log probability or a value?); let it "
             "return (mean, log_std) before the tanh, or actions only",
         )

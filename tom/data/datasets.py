@@ -122,7 +122,7 @@ def _columns_of(path: Path) -> Columns:
             "to .npz (for stable-baselines3: tom.integrations.sb3.export_buffer)"
         )
     else:
-        raise UserError(f"{path} is of no kind that can be read here: give {FORMATS}")
+        raise UserError(f"{path} is of a kind that cannot be read here: give {FORMATS}")
     return _checked(path, arrays, names)
 
 
@@ -184,7 +184,7 @@ def _stored(group: h5py.Group, name: str) -> NDArray:
     stored = _member(group, name, h5py.Dataset)
     if stored.external or stored.is_virtual:  # either could read any file on this machine
         where = f"'{name}' in {group.file.filename}:{group.name}"
-        raise UserError(f"{where} lies in another file: only data within the file is read")
+        raise UserError(f"{where} is in another file: only data within the file is read")
     return np.asarray(stored[()])
 
 
@@ -329,7 +329,7 @@ def _assembled(path: Path, columns: Columns) -> Recording:
     if not len(kept):
         raise UserError(
             f"{path} has no 'next_obs', and every row of it is the last one of an episode, which "
-            "has no successor then: record 'next_obs' too, or longer episodes"
+            "has no successor: record 'next_obs' too, or longer episodes"
         )
     never = np.zeros(len(kept), bool)
     rows = Transitions(obs[kept], action[kept], reward[kept], obs[kept + 1], never, ends[kept + 1])

@@ -31,7 +31,7 @@ NEVER = 2.0
 """a threshold that no probability reaches"""
 UNWEIGHTED = (
     "ends-unweighted",
-    "none of the ends of episodes that are trained on has any weight: the head that learns ends is "
+    "no end of an episode among the training rows has any weight: the head that learns ends is "
     "fitted without weights",
 )
 

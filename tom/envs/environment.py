@@ -123,8 +123,8 @@ class Unit(gym.Wrapper):
         if not np.array_equal(self._obs, state["obs"].numpy()):
             raise StartAgainError(
                 f"{self.unwrapped.spec.id if self.unwrapped.spec else 'the task'} does not play an "
-                "episode the same way again from its seed and actions, so a run in it cannot go "
-                "on: start it again"
+                "episode the same way again from its seed and actions, so a run in it cannot be "
+                "resumed: start it again"
             )
 
     def _seen(self, obs: NDArray) -> NDArray[np.float32]:
@@ -145,7 +145,7 @@ class Unit(gym.Wrapper):
     def _unusable(self, what: str) -> OwnCodeError:
         return OwnCodeError(
             f"the task '{self._name}' gives {what} at {self._step()}: numbers must be finite in "
-            "single precision, and of one shape: mend its reset and step"
+            "single precision, and of one shape: fix its reset and step"
         )
 
 

@@ -47,7 +47,7 @@ def opened(
         try:
             writer = RunWriter.create(store, name, settings, command=command)
         except TakenError as error:
-            raise TakenError(f'{error}, or go on with it: resume="auto"') from None
+            raise TakenError(f'{error}, or continue it: resume="auto"') from None
         if settings.learner == OWN_LOOP:
             label(store, name, name=name)
         return Recorder(writer)

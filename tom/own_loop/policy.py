@@ -69,7 +69,9 @@ class PolicyCopier:
     def _learnt(self, policy: Any, obs: NDArray) -> Copy:
         """A network that has learnt the policy's mean and spread before the tanh."""
         if not len(obs):
-            raise UserError("policy: hand in some transitions first, to ask it about")
+            raise UserError(
+                "policy: hand in some transitions first, whose observations it is asked about"
+            )
         bounds, own_obs = action_bounds(self._known), self._known.own_obs
         foreign = ForeignPolicy(
             "of run.policy", _asked(policy), self._known.obs_dim, bounds, own_obs

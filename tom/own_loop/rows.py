@@ -147,7 +147,7 @@ class Rows:
     ) -> list[Ended]:
         row = obs.tolist(), action.tolist(), reward, next_obs.tolist(), terminated, truncated
         if not isfinite(sum(row[0]) + sum(row[1]) + reward + sum(row[3])):
-            raise UserError("a step has a value that is no finite number")
+            raise UserError("a step has a value that is not a finite number")
         self._steps.append(row)
         self.count += 1
         self.handed += 1
@@ -193,7 +193,7 @@ class Rows:
                     + f", with the same leading axes everywhere: {axes}"
                 )
             if column.dtype != bool and not isfinite(column.sum()):  # faster than each value's
-                raise UserError(f"{name} has a value that is no finite number")
+                raise UserError(f"{name} has a value that is not a finite number")
         return [x.reshape(-1, self.envs, *x.shape[len(lead) :]) for x in columns]
 
     def _episodes(

@@ -68,7 +68,7 @@ def _guarded(
             self._recorder.finish("failed", f"step {self.step}: {text}")
             if self._strict:
                 raise
-            warnings.warn(f"run {self.name} is recorded no further: {text}", stacklevel=2)
+            warnings.warn(f"run {self.name} is not recorded any further: {text}", stacklevel=2)
         except (UserError, TypeError, ValueError) as error:
             why = f"{method.__name__}: {reason(error)}"
             if self._strict:
@@ -341,7 +341,7 @@ class OwnRun:
     def _at(self, step: int) -> int:
         """`step`, checked. Raises UserError."""
         if not isinstance(step, int | np.integer) or step < 0:
-            raise UserError(f"step {step!r} is no whole number from 0 on")
+            raise UserError(f"step {step!r} is not a whole number from 0 on")
         if step < self._step:
             raise UserError(f"step {step} comes after step {self._step}: steps never go back")
         self._step = int(step)

@@ -156,7 +156,7 @@ class ForeignPolicy:
                 f"return actions {shape}, or mean and log_std {shape} each"
             )
         if not all(bool(part.isfinite().all()) for part in answer):
-            raise UserError(f"policy {self.name} returns what is no finite number: name another")
+            raise UserError(f"policy {self.name} returns numbers that are not finite: name another")
         return answer
 
 
@@ -201,7 +201,7 @@ def _torchscript(name: str) -> Callable[[Tensor], Any]:
             network = torch.jit.load(name, map_location="cpu").eval()
     except (RuntimeError, ValueError, OSError) as error:
         raise UserError(
-            f"{name} is no TorchScript file: write it by torch.jit.trace(...).save "
+            f"{name} is not a TorchScript file: write it with torch.jit.trace(...).save "
             "(docs/your-own.md); checkpoints hold pickles and are not loaded"
         ) from error
     own = next((p.dtype for p in network.parameters() if p.is_floating_point()), torch.float32)
@@ -220,7 +220,7 @@ def _onnx(name: str) -> Callable[[Tensor], Any]:
     try:
         session = onnxruntime.InferenceSession(name, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # its errors share no class
-        raise UserError(f"{name} is no ONNX file that can be used: export it again") from error
+        raise UserError(f"{name} is not a usable ONNX file: export it again") from error
     inputs = session.get_inputs()
     if len(inputs) != 1:
         names = ", ".join(one.name for one in inputs)

@@ -127,10 +127,10 @@ def read_policy(path: Path) -> StoredPolicy:
     except (*DAMAGE, AttributeError) as error:
         if path.suffix != ".npz":
             raise UserError(
-                f"{path} is no policy that can be read: export it as TorchScript (.pt) or ONNX "
+                f"{path} is not a readable policy: export it as TorchScript (.pt) or ONNX "
                 "(docs/your-own.md, for stable-baselines3 too)"
             ) from None
-        raise UserError(f"{path} is no stored policy ({reason(error)}): name another") from error
+        raise UserError(f"{path} is not a stored policy ({reason(error)}): name another") from error
 
 
 def _layers(arrays: Arrays, prefix: str = "") -> dict[str, NDArray]:

@@ -96,7 +96,7 @@ def load(folder: Path) -> Checkpoint | None:
     except OSError as error:
         raise TryLaterError(
             f"{folder.parent.name}: {path.relative_to(folder.parent)}: {reason(error)}, so it "
-            "cannot be read for now: see to the disk and try again"
+            "cannot be read for now: check the disk and try again"
         ) from None
     return None
 

@@ -46,7 +46,7 @@ def verify(reader: RunReader) -> list[str]:
     try:  # first, because a training may add to the rows
         held = checkpoint.load(run.path / checkpoint.FOLDER)
         if held is None and checkpoint.newest(run.path / checkpoint.FOLDER) is not None:
-            problems.append("no checkpoint is whole: the run cannot go on")
+            problems.append("no checkpoint is whole: the run cannot be resumed")
     except TryLaterError as error:
         problems.append(str(error).removeprefix(f"{run.run_id}: "))
     _ = run.config, run.labels, run.status
@@ -63,7 +63,7 @@ def verify(reader: RunReader) -> list[str]:
         problems += held.problems
         if len(rows) < (collected := held.state.get("training", {}).get("collected", 0)):
             problems.append(
-                f"{layout.BUFFER} has {len(rows)} of {collected} rows: the run cannot go on"
+                f"{layout.BUFFER} has {len(rows)} of {collected} rows: the run cannot be resumed"
             )
     if not all(map(checkpoint.is_whole, checkpoint.folders(run.path / layout.MODEL))):
         problems.append(f"{layout.MODEL} is damaged: ghosts and model errors are missing")
@@ -97,14 +97,14 @@ def repair(reader: RunReader) -> list[str]:
                 done[name] = f"set aside{_kept(run, set_aside(run, run / name))}"
         status = RunReader(run).status
         if status.state == "running":
-            why = "its process ended without a word"
+            why = "its process ended without a reason"
             ended = but(status, state="stopped", phase="", eta_s=None, reason=why)
             replace_json(run / layout.STATUS, asdict(ended), sync=True)
             done[layout.STATUS] = f"running became stopped at step {ended.env_step}"
         if (run / layout.DIGESTS).exists() and (damaged or _damaged(run)):
             write_digests(run)
             for name in damaged:
-                done.setdefault(name, "its digest is made again")
+                done.setdefault(name, "its digest is computed again")
     return [f"{name}: {what}" for name, what in done.items()]
 
 

@@ -46,7 +46,7 @@ def label(
         try:
             before = labels_of(read_json(file)) if file.exists() else Labels()
         except ValueError as error:
-            raise UserError(f"{file} is damaged ({error}): mend it or move it away") from None
+            raise UserError(f"{file} is damaged ({error}): fix it or move it away") from None
         for tag in remove:
             if tag not in before.tags:
                 known = ", ".join(before.tags) or "none"

@@ -54,7 +54,7 @@ class Store:
         reader = RunReader(self.resolve(name))
         if not reader.is_run:
             why = "; ".join(reader.problems) or "its config.json is not a run's"
-            raise UserError(f"{name}: no run ({why})")
+            raise UserError(f"{name}: not a run ({why})")
         return reader
 
     def run(self, run_id: str) -> RunReader:

@@ -1,8 +1,8 @@
 """For which models does weighting pay? Models of growing capacity, fitted by every way of weighing.
 
 Weights for a shifted distribution help if a model is too small for the whole buffer (Shimodaira
-2000), and have little effect if a network fits everything (Byrd and Lipton 2019). Errors are those
-on episodes that the kept policy of a step makes anew. Runs must be whole, or small copies made with
+2000), and have little effect if a network fits everything (Byrd and Lipton 2019). Errors are
+measured on new episodes of the policy kept at a step. Runs must be whole, or small copies made with
 --keep buffer policies.
 """
 
@@ -32,7 +32,7 @@ from tom.studies.study import Findings, Row
 TITLE = "Where weighting pays"
 CLAIM = (
     "A model fitted by TOM's weights is accurate where the policy goes (figure 1). The paper "
-    "varies the model's capacity nowhere; its linear model of road-and-rocks is the small end."
+    "never varies the model's capacity; its linear model of road-and-rocks is the small end."
 )
 ASKED = ("recency", "half-recency", "ratio", "tom-discounted", "tom-mended", "half-tom-mended")
 AHEAD = {"one step": ERROR, "five steps": ROLLOUT_ERROR}
@@ -55,7 +55,7 @@ def find(args: Namespace) -> Findings:
     figures = {
         name: (
             f"Error {ahead} ahead on new steps of the policy, over the error under uniform "
-            "weights; a panel a model, a point a moment, the stroke is their median.",
+            "weights. One panel per model, one point per moment; the stroke is their median.",
             capacity_figure(outcomes, ahead),
         )
         for name, ahead in zip(("capacity", "capacity-rollouts"), AHEAD, strict=True)

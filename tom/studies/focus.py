@@ -2,8 +2,8 @@
 
 Each learner weighs the replay buffer of a SAC recording (random half, ordered half) for SAC's final
 policy. The paper's model is fitted with those weights from new initial parameters. Its error is
-measured on fresh transitions of the policy, and on the two halves of the buffer. Nothing is
-accepted or refused: it says for whom weighting helped, and where.
+measured on fresh transitions of the policy and on the two halves of the buffer. Nothing is accepted
+or refused: the study says which learner's weights helped, and where.
 """
 
 from argparse import Namespace
@@ -57,8 +57,8 @@ QUANTITIES = {
 """the errors and the data on which they are measured: one step and five steps under the policy on
 transitions that it makes anew, one step on rows of the buffer's two halves"""
 CAPTION = (
-    "Error of each learner's model as a share of MLE's, a point a seed (1: no difference). The "
-    "buffer's two halves are in-sample, the policy's own transitions are new to every learner."
+    "Error of each learner's model over MLE's, one point per seed (1: no difference). The buffer's "
+    "two halves are in-sample; the policy's own transitions are new to every learner."
 )
 
 

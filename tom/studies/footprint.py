@@ -1,8 +1,8 @@
 """Are the weights where the policy goes? Every way of weighing on the same frozen buffers.
 
-Replay buffers of runs and of recordings of SAC, as they stood at steps whose policy was kept, are
-weighed by every way, and it is measured how near that brings each to episodes that the policy of
-that step makes anew. Runs must be whole, or small copies made with --keep buffer policies.
+Takes replay buffers of runs and of SAC recordings as they were at steps whose policy was kept,
+weighs them in every way, and measures how near that brings each to new episodes of that step's
+policy. Runs must be whole, or small copies made with --keep buffer policies.
 """
 
 from argparse import ArgumentParser, Namespace
@@ -36,8 +36,8 @@ LEAST = 0.03
 """distances below it are drawn at it: the axis is logarithmic"""
 CAPTION = (
     "Energy distance of (s, a, s' - s), z-scored, between the weighted buffer and fresh episodes "
-    "of the policy, over that of the unweighted buffer (1: no better than no weights). A point a "
-    f"moment of a run, the stroke is their median; points below {LEAST} are drawn there. Moments "
+    "of the policy, over that of the unweighted buffer (1: no nearer than without weights). One "
+    f"point per moment; the stroke is their median; points below {LEAST} are drawn there. Moments "
     "whose distances are lost in noise are left out."
 )
 

@@ -164,7 +164,7 @@ def cases(
     if lacking:
         told = f"{len(lacking)} of {len(runs)} runs do not say which policies drew their actions"
         if len(lacking) == len(runs) and {UNIFORM, *needing} >= set(ways):
-            raise UserError(f"{told}: record anew, or name other --ways")
+            raise UserError(f"{told}: record again, or name other --ways")
         say(f"{told}: left out of {', '.join(needing)}")
     return [
         Case(run.path, step, way, seed, tuple(models), rows, run.created)

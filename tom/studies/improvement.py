@@ -1,10 +1,10 @@
 """Do weights make better policies: those in the model, and those in the rollouts' starts?
 
-At a moment of a frozen buffer (`tom.studies.frozen`) soft actor-critic goes on from the stored
+At a moment of a frozen buffer (`tom.studies.frozen`), soft actor-critic continues from the stored
 policy and critics, on rollouts in a model fitted to this buffer. A learner's weights act in two
 places: the fit of the model (Algorithm 2, lines 15-18) and the start states of its rollouts (line
-22). So every way of weighing acts in the model alone, in the starts alone, and in both, with
-the same random numbers each time. Whole runs differ in data as well, and take hours.
+22). So every way of weighing is tried in the model only, in the starts only, and in both, with the
+same random numbers each time. Whole runs would also differ in data, and take hours.
 
 It differs from a training: the networks of the model are new, so are SAC's optimisers and target
 critics, all modelled rows come from this one model (a training keeps those of four fits), and
@@ -95,12 +95,15 @@ def add_options(parser: ArgumentParser) -> None:
     add_moments(parser, (UNIFORM, "tom-mended"))
     parser.add_argument(
         "--termination", dest=RULE, metavar="module:function",
-        help="the rule that runs were trained with, if it is code of yours; it is used for these",
+        help="the termination rule of the runs, if it is code of yours; it is used for these runs",
     )  # fmt: skip
-    known, updates = ", ".join(f"'{name}'" for name in MODELS), "of SAC, those between two fits"
+    known, updates = (
+        ", ".join(f"'{name}'" for name in MODELS),
+        "SAC updates, as many as between two fits",
+    )
     parser.add_argument("--model", default="200 x 4", help=f"{known} [%(default)s]")
     parser.add_argument("--updates", type=whole(PARTS), default=1250, help=f"{updates} [1250]")
-    parser.add_argument("--episodes", type=whole(1), default=5, help="of an evaluation [5]")
+    parser.add_argument("--episodes", type=whole(1), default=5, help="episodes per evaluation [5]")
 
 
 def find(args: Namespace) -> Findings:

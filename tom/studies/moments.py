@@ -46,9 +46,11 @@ MEASURED = "measured: "
 
 def add_moments(parser: ArgumentParser, ways: Sequence[str]) -> None:
     """Add the options that choose runs, their moments, and ways of weighing."""
-    parser.add_argument("runs", nargs="*", metavar="RUN", help="[all of the store that can]")
+    parser.add_argument(
+        "runs", nargs="*", metavar="RUN", help="[every run in the store that can be used]"
+    )
     add_runs(parser, ENVS, "[all of ours]")
-    parser.add_argument("--moments", type=whole(1), default=8, help="of each run at most [8]")
+    parser.add_argument("--moments", type=whole(1), default=8, help="maximum per run [8]")
     parser.add_argument("--seeds", nargs="+", type="seed", default=[0], help="[0]")
     known = ", ".join(WAYS)
     parser.add_argument("--ways", nargs="+", default=list(ways), metavar="WAY", help=known)
@@ -103,7 +105,7 @@ def add_measuring(parser: ArgumentParser, ways: Sequence[str], models: Sequence[
     parser.set_defaults(usual=vars(parser.parse_args([])))
     parser.add_argument(
         "--from", dest="table", type=Path, metavar="FILE",
-        help="moments.csv of an earlier report: only its tables and figures are made anew",
+        help="moments.csv of an earlier report: only remake its tables and figures",
     )  # fmt: skip
 
 
@@ -133,7 +135,7 @@ def measured(args: Namespace, models: Sequence[str] = ()) -> list[Row]:
         raise UserError(f"cannot read {args.table}: {error}") from error
     except ValueError as error:
         why = reason(error)
-        raise UserError(f"{args.table} is no moments.csv of this study ({why})") from error
+        raise UserError(f"{args.table} is not a moments.csv of this study ({why})") from error
     return outcomes
 
 

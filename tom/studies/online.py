@@ -1,9 +1,9 @@
 """Where do the weights lie in the buffer as a run goes on?
 
-The profiles of several fits of the longest run of each environment, learner and preset that the
-store has, with its preset's settings if there is one (the paper's appendix on online progression).
-Fits with uniform weights, before the learner begins to weigh, are left out, and so is MLE, which
-never weighs. Nothing is trained.
+Shows the profiles of several fits of the store's longest run of each environment, learner and
+preset, with its preset's settings if there is one (the paper's appendix on online progression).
+Leaves out fits with uniform weights, before the learner begins to weigh, and MLE, which never
+weighs. Trains nothing.
 """
 
 from argparse import ArgumentParser, Namespace

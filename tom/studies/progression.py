@@ -3,7 +3,7 @@
 Every recording of SAC (random half, ordered half) is weighed three times: for its trained policy,
 for the random policy (the profile must reverse), and for its trained policy with shuffled rows
 (TOM's profile must stay the same; PMAC's must change, because it depends on the position). The
-median over TOM's seeds is judged, of the first preset.
+first preset is judged, by its median over TOM's seeds.
 """
 
 from argparse import ArgumentParser, Namespace
@@ -84,8 +84,12 @@ TITLES = {
 
 def add_options(parser: ArgumentParser) -> None:
     add_recordings(parser)
-    parser.add_argument("--sac-seeds", nargs="+", type="seed", help="of recordings [as accepted]")
-    parser.add_argument("--preset", nargs="+", default=list(PRESETS), help="TOM's [exact paper]")
+    parser.add_argument(
+        "--sac-seeds", nargs="+", type="seed", help="seeds of recordings [as accepted]"
+    )
+    parser.add_argument(
+        "--preset", nargs="+", default=list(PRESETS), help="TOM's presets [exact paper]"
+    )
 
 
 def find(args: Namespace) -> Findings:

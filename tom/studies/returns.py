@@ -1,8 +1,8 @@
 """Who learns fastest, and who ends highest? Return curves of the runs that the store has.
 
-Learners are compared at a step that all runs of an environment reach or at one fixed beforehand; if
-they were trained with different settings, the verdict says so. What is missing for the paper's
-figure is listed. Nothing is trained: `tom sweep` makes the runs.
+Compares learners at a step that all runs of an environment reach, or at one fixed beforehand, and
+says if they were trained with different settings. Lists what is missing for the paper's figure.
+Trains nothing: `tom sweep` makes the runs.
 """
 
 from argparse import ArgumentParser, Namespace
@@ -59,22 +59,22 @@ def add_options(parser: ArgumentParser) -> None:
     add_groups(parser)
     parser.add_argument(
         "--at", nargs="+", default=[], metavar="[ENV=]STEP",
-        help="compare at this env step, in ENV alone if it is named, without the runs that end "
-        "earlier [what all runs reach]",
+        help="compare at this env step (in ENV only, if it is named), without runs that end "
+        "earlier [the step that all runs reach]",
     )  # fmt: skip
     parser.add_argument("--seeds", nargs="+", type="seed", metavar="N", help="[all]")
     parser.add_argument(
         "--apart", action="store_true",
-        help="runs with settings other than their preset's are learners of their own [of each "
-        "learner and preset only the settings that most seeds share]",
+        help="count runs with settings other than their preset's as learners of their own [only "
+        "the settings that most seeds of a learner and preset share]",
     )  # fmt: skip
     parser.add_argument(
         "--groups", nargs="+", metavar="GROUP",
-        help='compare these alone, called as in the tables (MLE, "TOM, mended") [all]',
+        help='compare only these, named as in the tables (MLE, "TOM, mended") [all]',
     )  # fmt: skip
     parser.add_argument(
         "--by", nargs="+", choices=tuple(BY), default=list(BY), metavar="SCORE",
-        help=f"compare by these alone, of {' '.join(BY)}; p is corrected for no others [all]",
+        help=f"compare only by these, of {' '.join(BY)}; p is corrected for no others [all]",
     )  # fmt: skip
 
 

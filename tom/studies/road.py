@@ -1,8 +1,8 @@
 """Does TOM drive where MLE does not? Road-and-rocks over seeds, with controls and a sweep.
 
-The outcome of trainings is held against the acceptance. Controls must fail, or reverse, if the
-claim is to be meaningful; simpler weightings stand beside TOM; the sweep over the turn of the rocks
-says where the claim holds.
+Trainings are judged by the acceptance. Controls must fail, or reverse, for the claim to be
+meaningful. Simpler weightings are compared with TOM, and a sweep over the turn of the rocks shows
+where the claim holds.
 """
 
 from argparse import ArgumentParser, Namespace

@@ -81,15 +81,14 @@ def check(name: str, value: float, sign: str, bound: float) -> Row:
 def add_runs(parser: ArgumentParser, envs: Iterable[str], help: str | None = None) -> None:
     """Add `--env`, the tasks of a study, and `--store`, where it finds their runs."""
     parser.add_argument("--env", nargs="+", default=list(envs), metavar="ENV", help=help)
-    parser.add_argument("--store", type="folder", default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--store", type="folder", default=Path("runs"), help="run store [runs/]")
 
 
 def add_groups(parser: ArgumentParser) -> None:
     """Add `--preset` and `--learner`, the trainings that a study of whole runs looks at."""
     parser.add_argument(
         "--preset", nargs="+", metavar="PRESET", default=["paper", "mended"],
-        help="[paper mended]: runs of the first are called by their learner alone, those of others "
-        "by both",
+        help="[paper mended]: runs of the first are named by their learner only, others by both",
     )  # fmt: skip
     parser.add_argument(
         "--learner", nargs="+", default=list(LEARNERS), metavar="LEARNER",
@@ -106,7 +105,9 @@ def check_groups(args: Namespace) -> None:
 def add_jobs(parser: ArgumentParser) -> None:
     """Add `--jobs`, how many cases are computed at a time."""
     cores = len(os.sched_getaffinity(0))
-    parser.add_argument("--jobs", type=whole(1), default=cores, help="cases at a time [one a core]")
+    parser.add_argument(
+        "--jobs", type=whole(1), default=cores, help="cases at a time [one per core]"
+    )
 
 
 def tasks(names: Iterable[str]) -> list[str]:

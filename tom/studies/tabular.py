@@ -1,9 +1,9 @@
-"""Does TOM's estimator find the weights that its theory means? Small MDPs with known solutions.
+"""Does TOM's estimator find the weights that its theory defines? Small MDPs with known solutions.
 
 Chi-square and KL, stochastic and deterministic, discount 0.9 and 0.99; 50 000 replay and 5 000
 policy transitions; dense MDPs, and ones where a step in a hundred ends an episode under all three
-flows. The estimates are held against the acceptance; other ways to estimate, the paper preset among
-them, stand beside it.
+flows. The estimates are judged by the acceptance; other ways to estimate, including the paper
+preset, are shown for comparison.
 """
 
 from argparse import ArgumentParser, Namespace
@@ -63,9 +63,15 @@ CAPTION = "Estimated against exact weights; the area is the replay's share"
 
 def add_options(parser: ArgumentParser) -> None:
     few = list(range(6))
-    parser.add_argument("--seeds", nargs="+", type="seed", default=few, help="MDPs [0 .. 5]")
     parser.add_argument(
-        "--variant-seeds", nargs="*", type="seed", default=[0, 1], help="MDPs of the rest [0 1]"
+        "--seeds", nargs="+", type="seed", default=few, help="seeds of the MDPs [0 .. 5]"
+    )
+    parser.add_argument(
+        "--variant-seeds",
+        nargs="*",
+        type="seed",
+        default=[0, 1],
+        help="seeds of the other ways' MDPs [0 1]",
     )
     add_jobs(parser)
 

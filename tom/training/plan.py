@@ -99,7 +99,7 @@ def read_plan(path: Path) -> dict[str, Any]:
         problem = getattr(error, "problem", None) or reason(error)
         raise UserError(f"cannot read {path}{line}: {problem}") from None
     if not isinstance(content, dict):
-        raise UserError(f"{path} is no mapping: write `env: [hopper]` and so on")
+        raise UserError(f"{path} is not a mapping: write `env: [hopper]` and so on")
     return content
 
 

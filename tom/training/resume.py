@@ -52,7 +52,7 @@ def resume(
     reader = store.run(run_id)
     if reader.small_copy:
         raise UserError(
-            f"run '{run_id}' is a small copy, which cannot go on: resume the run that it is of, or "
+            f"run '{run_id}' is a small copy, which cannot be resumed: resume the original run, or "
             "start it again under another name"
         )
     config = resumable_config(reader)
@@ -60,7 +60,7 @@ def resume(
         if isinstance(config, SacRecordingConfig):
             raise UserError(
                 "a SAC recording cannot be given other --steps: its halves depend on them; record "
-                "anew"
+                "a new one"
             )
         config = config.but(steps=steps)
     prepare(config, reader.config.get("matmul", {}).get("chosen", config.matmul))
@@ -165,7 +165,7 @@ def _changed_versions(reader: RunReader, accepted: bool) -> str:
     if decisive and not accepted:
         raise UserError(
             f"run '{reader.run_id}' was trained with other versions ({', '.join(decisive)}), and "
-            f"its results would change: {ACCEPT} goes on with these, or start it again"
+            f"its results would change: {ACCEPT} continues with these, or start it again"
         )
     listed = ", ".join(changed.values())
     return f"trained with other versions until here: {listed}" if listed else ""
@@ -218,7 +218,7 @@ def _restore(
         if len(rows) < n and reader.unread:
             raise TryLaterError(
                 f"run '{reader.run_id}' cannot be read for now ({reader.unread[0]}): nothing was "
-                "changed; see to its disk and try again"
+                "changed; check its disk and try again"
             )
         if len(rows) < n:
             raise StartAgainError(

@@ -25,7 +25,7 @@ AnyConfig = OnlineConfig | RoadConfig | SacRecordingConfig
 Training = Mbpo | Offline | SacRecording
 """a generator of events whose state can be saved at the end of any step and restored"""
 Consumer = Callable[[Event], None]
-STOPPED = "stopped at step {step}: tom train --resume {run} goes on"
+STOPPED = "stopped at step {step}: tom train --resume {run} continues it"
 
 
 class RecordingOptions(TypedDict, total=False):

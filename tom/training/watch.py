@@ -121,8 +121,8 @@ class Watch:
 
 
 SHORT = (
-    f"the last {SHORT_EPISODES} episodes ended after one step: nothing can be learnt of what comes "
-    "later; look at the task's termination and its start states"
+    f"the last {SHORT_EPISODES} episodes ended after one step: nothing can be learnt about later "
+    "steps; check the task's termination and its start states"
 )
 PERFECT = (
     "the discriminator tells the policy's transitions from all others without a mistake: its "
@@ -136,8 +136,8 @@ def _constant(card: Card) -> str:
     if not still.any() or still.all():
         return ""
     return (
-        f"observation {dims(still)} of {len(still)} never changed: nothing can be learnt there; "
-        "leave out of the observation what carries nothing"
+        f"observation {dims(still)} of {len(still)} never changed: nothing can be learnt from it; "
+        "leave out what does not change"
     )
 
 

@@ -12,7 +12,7 @@ from app import parts
 
 SELECTOR = ".buffer-map"
 TOOLS = {
-    "lasso": "draw round rows to choose them",
+    "lasso": "draw around rows to choose them",
     "box": "draw a box to choose rows",
     "move": "drag to move; the wheel zooms, a double click shows all",
     "zoom": "draw a box to zoom into",

@@ -219,7 +219,7 @@ function drawOver(root, X, Y) {
   const shade = (w) => table[Math.round(Math.min(Math.max(Math.log2(Math.max(w / mean, 1e-9)) / 8 + 0.5, 0), 1) * (SHADES - 1))];
   drawStrip(strip.querySelector("canvas"), rows, path, marked, root.colours, shade);
   strip.querySelector("p").textContent =
-    `Row ${given.row.toLocaleString("en-US")}: its episode as a line, from the small ring on, its ${given.near.length} nearest rows as rings. Below: weights along the episode's ${(given.path[1] - given.path[0] + 1).toLocaleString("en-US")} steps.`;
+    `Row ${given.row.toLocaleString("en-US")}: its episode is the line that starts at the small ring; its ${given.near.length} nearest rows are rings. Below: weights along the episode's ${(given.path[1] - given.path[0] + 1).toLocaleString("en-US")} steps.`;
 }
 
 function legend(root, look, cells) {
@@ -231,7 +231,7 @@ function legend(root, look, cells) {
   look.ticks.forEach((words, i) => (ticks[i].textContent = words));
   const rows = cells.inView.toLocaleString("en-US");
   box.querySelector("em").textContent =
-    cells.inView < SINGLE ? `a point is a row: ${rows} in view` : `a cell's opacity: its rows; ${rows} in view`;
+    cells.inView < SINGLE ? `each point is a row; ${rows} in view` : `opacity: number of rows; ${rows} in view`;
   const axes = root.given.planes[0].axes;
   root.querySelector(".map-x").textContent = `${axes[0].name} →`;
   root.querySelector(".map-y").textContent = `${axes[1].name} →`;
@@ -307,7 +307,7 @@ function say(root) {
       ? `Nearly all of the weight lies on ${sample < 1.5 ? "one row" : `about ${sample.toFixed(0)} rows`}.`
       : most.length
       ? `The weight goes to ${most.join(", ")}.`
-      : "No part of the buffer stands out: the weight lies about where the rows lie.";
+      : "No part of the buffer stands out: the weight is spread about as the rows are.";
   } else {
     const what = n ? `${percent(n / rows.count)} of the rows have ${percent(sum / rows.total)} of the weight` : "No row is chosen";
     heading.textContent = `${what}: ${parts.join(", ")}${most.length ? `; mostly ${most.join(", ")}` : ""}.`;

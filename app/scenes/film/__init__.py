@@ -63,10 +63,12 @@ def story(run: RunReader) -> dict[str, Any]:
     """The data of the cinema, ready for JSON. Raises UserError if a part is missing."""
     profiles = readers.profiles(run)
     if len(profiles.env_step) < 2:
-        raise UserError("a story needs two model fits at least, and this run has kept fewer")
+        raise UserError("a story needs at least two model fits, and this run has kept fewer")
     recorded, _, state, _ = buffer.with_states(run)
     if not len(recorded):
-        raise UserError("its buffer is not there: no robots and no map of the buffer can be drawn")
+        raise UserError(
+            "its buffer is missing, so neither robots nor the buffer's map can be drawn"
+        )
     known, model = task_of(run), scene_of(run)
     if model is None:
         raise UserError(f"there is no robot to draw in {run.env}")
@@ -239,9 +241,9 @@ def ghosts(
         | travelling(*drawn, kept[which])
         for which, called, colour, shift, alpha in (
             ("real", "real", REAL[mode], 0.0, 1.0),
-            (AS_IT_IS, "as it is", COLUMNS[mode][0][1], -APART, 0.8),
+            (AS_IT_IS, "unchanged", COLUMNS[mode][0][1], -APART, 0.8),
             (f"x{factor:g}", name, COLUMNS[mode][2][1], APART, 0.8),
         )
     ]
     told = {"robots": robots, "speed": SPEED, "dt": float(kept["dt"])}
-    return document(f"Two ghosts: as it is, and {name}", "ghosts.js", told, learner, mode)
+    return document(f"Two ghosts: unchanged weights, and {name}", "ghosts.js", told, learner, mode)

@@ -250,7 +250,7 @@ function playedNow(step) {
 
 function drawPolicy(episode, seconds) {
   if (!episode) {
-    words("the policy acts at random: no evaluation is kept yet", STAGE.left, 716, 12, { alpha: 0.6 });
+    words("the policy still acts at random: no evaluation is kept yet", STAGE.left, 716, 12, { alpha: 0.6 });
     return;
   }
   const frames = episode.shape[0];

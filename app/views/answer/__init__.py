@@ -55,7 +55,9 @@ def page(scope: Scope) -> None:
         return
     titles = list(groups)
     head = st.columns([3, 3, 4], vertical_alignment="bottom")
-    one = address.choose_one(head[0].selectbox, "Is it worth weighing by", titles, "one", titles[0])
+    one = address.choose_one(
+        head[0].selectbox, "Does it help to weigh by", titles, "one", titles[0]
+    )
     both = {one: groups[one]}
     others = [title for title in titles if title != one]
     if others:
@@ -143,15 +145,15 @@ def _answers(sides: Sequence[Side], mine: Sequence[RunReader]) -> tuple[Answer, 
         )  # fmt: skip
     if any(readers.weighed(run) is not run for run in mine):
         helps = Answer(
-            "unknown", "Not asked here", "Nothing learns from live weights: they are "
-            "computed beside a training loop.", "`run.latest_weights()` gives them to it.",
+            "unknown", "Not asked here", "Live weights are computed alongside a training loop, "
+            "which does not learn from them.", "`run.latest_weights()` would give them to it.",
         )  # fmt: skip
     elif len(sides) > 1:
         helps = answer.helps(one, sides[1])
     else:
         helps = Answer(
             "unknown", "Cannot be told yet", "There is nothing to compare it with.",
-            "Train MLE, which weighs all rows alike.",
+            "Train MLE, which weighs every row the same.",
         )  # fmt: skip
     return where, on_policy, helps
 

@@ -29,17 +29,17 @@ HEIGHT = 380
 SIGNIFICANT = 0.05
 MODELS, BINS = 8, 20
 """stored models that are tested on one buffer, and parts of it whose mean errors are drawn"""
-NO_EXAM = "no exam (of a version before exams, or its first fit still serves)"
+NO_EXAM = "no exam: recorded by a version before exams, or still on the first fit"
 WHAT = (
-    "The exam of a fit: the real steps that its policy went on to make until the next fit. They "
-    "are not in its buffer. Errors are root mean squares over the dimensions of the state, each in "
-    "standard deviations of its change in a step; of a run the median over its fits counts, from "
-    "the step on from which every run weighs."
+    "A fit's exam is the real steps that its policy takes until the next fit; its buffer holds "
+    "none of them. Errors are root mean squares over the state's dimensions, each in standard "
+    "deviations of its change in a step. A run's number is the median over its fits, from the "
+    "step at which every run weighs."
 )
 OWN = (
-    "Each run is examined on what its own policy met, in units of its own buffer, so learners "
-    "differ in policy and data too; `tom reproduce footprint` and `tom reproduce capacity` compare "
-    "them on the same buffers."
+    "Each run is examined on what its own policy encountered, in units of its own buffer, so "
+    "learners also differ in policy and data. `tom reproduce footprint` and `tom reproduce "
+    "capacity` compare them on the same buffers."
 )
 LENGTHS = 2.0
 """a run is like the others if it has between half and twice their median number of steps"""
@@ -53,10 +53,10 @@ COLUMNS = {
         "error, five steps", help="five modelled steps under the recorded actions"
     ),
     "footprint": st.column_config.Column(
-        help="1: no better than no weights, 0: like the policy itself"
+        help="1: no nearer than without weights, 0: the policy itself"
     ),
     "fits that count": st.column_config.Column(
-        help="fits whose footprint is not lost in its noise"
+        help="fits whose footprint stands out from its noise"
     ),
 }
 
@@ -71,12 +71,12 @@ def draw(scope: Scope, env: str) -> None:
         f"of another length ({steps:,} steps)": [r for r in others if r.status.env_step == steps]
         for steps in lengths
     }
-    _left_out(runs, {**of_length, "it fits no model": alone})
+    _left_out(runs, {**of_length, "without a model": alone})
     _exams(alike)
     st.subheader("In sample: on rows that the models were fitted to", anchor=False)
     st.caption(
-        "A model can err little here and much where its policy goes next: only the exams above are "
-        "out of sample. What each run measured on its own buffer is on Curves, as model/error_*."
+        "A model can err little here and yet much where its policy goes next; only the exams above "
+        "are out of sample. Curves has what each run measured on its own buffer, as model/error_*."
     )
     run = scope.one(lambda run: run in alike and buffer.has_rows(run), widgets.telling)
     if run is not None:
@@ -110,11 +110,11 @@ def _exams(runs: Sequence[RunReader]) -> None:
     st.dataframe(table(result), hide_index=True, column_config=COLUMNS, alt="The exams")
     with st.container(border=True):
         st.markdown(
-            "**Where the weights lie, how the model errs, what came of it**: a point is a fit, at "
-            "one height in both panels",
+            "**Where the weights lie, how the model errs, what came of it**: each point is a fit, "
+            "at the same height in both panels",
             help="A footprint is the energy distance between the weighted buffer and the exam, "
-            "over that of the buffer without weights. It says nothing where that buffer lies no "
-            "farther from the exam than two halves of the exam from each other.",
+            "divided by that of the unweighted buffer. It says nothing if the unweighted buffer "
+            "is no farther from the exam than the exam's two halves are from each other.",
         )
         figure = footprint_error_return(exams, HEIGHT)
         chart(figure, "exams", "footprint, error in the exam and next return of every fit")
@@ -145,7 +145,7 @@ def verdict(result: Ranking) -> str:
     one, other = (text.markdown(standing.name) for standing in (first, second))
     errors = (
         f"{short(first.typical)}, {percent(1 - first.typical / second.typical, 0)} less than "
-        f"{other}, the next, with {short(second.typical)},{counted} "
+        f"the next, {other}, with {short(second.typical)},{counted} "
         f"(n: {_runs(first)}; {_runs(second)})"
     )
     chance = (
@@ -155,7 +155,7 @@ def verdict(result: Ranking) -> str:
     where = "**Where its own policy goes, "
     if p < SIGNIFICANT:
         return f"{where}{one} errs least**: {errors}. More than noise: {chance}."
-    return f"{where}nobody errs less beyond noise**: least is {one} with {errors}, but {chance}."
+    return f"{where}no learner errs clearly less**: {one} has the least, {errors}, but {chance}."
 
 
 def _runs(one: Standing) -> str:
@@ -205,13 +205,14 @@ def _on_one_buffer(run: RunReader, others: Sequence[RunReader]) -> None:
         st.markdown(
             "**Error of the kept models along this buffer**: one step, mean of each twentieth",
             help="root mean square over the dimensions, each in standard deviations of its change "
-            "in a step over this buffer. A model has seen its own buffer alone.",
+            "in a step over this buffer. Each model was fitted to its own buffer only.",
         )
         figure = errors_by_age(errors, BINS, 320, keep=run.run_id)
         chart(figure, "errors here", "model error against age")
         without = [other for other in others if other not in kept]
         _left_out(
-            others, {"no kept model": without, f"beyond {MODELS} models, or unreadable": beyond}
+            others,
+            {"no kept model": without, f"beyond the first {MODELS} models, or unreadable": beyond},
         )
 
 
@@ -242,6 +243,6 @@ def _left_out(runs: Sequence[RunReader], left_out: Mapping[str, Sequence[RunRead
         if of:
             named = text.markdown("; ".join(called[run.run_id] for run in of))
             if len(of) <= FEW_NAMED:
-                st.caption(f"Left out, {reason}: {named}.")
+                st.caption(f"Left out ({reason}): {named}.")
             else:
-                st.caption(f"Left out, {reason}: {len(of)} runs.", help=named)
+                st.caption(f"Left out ({reason}): {len(of)} runs.", help=named)

@@ -133,8 +133,8 @@ def _numbers(run: RunReader, profiles: Profiles) -> None:
             ("transitions", [f"{count:,}" for count in profiles.count], ""),
             (
                 "weight on the newest fifth", shares(newest_share(profiles)),
-                "share of the whole weight on the newest fifth of the buffer; 20 % if all count "
-                "the same",
+                "share of all weight on the newest fifth of the buffer; 20 % if all transitions "
+                "count the same",
             ),
             (
                 "effective sample", shares(profiles.ess),
@@ -160,11 +160,11 @@ def _even(run: RunReader, profiles: Profiles, chosen: int) -> None:
     step = int(profiles.env_step[chosen])
     noticed = {(notice.get("env_step"), notice.get("code")) for notice in readers.notices(run)}
     if (step, DEGENERATE[0]) in noticed:
-        reason = "its weights could not be used"
+        reason = "the learner's weights could not be used"
     elif (profiles.ess[:chosen] <= EVEN).any():
-        reason = "although it had weighed before"
+        reason = "although the learner had weighed before"
     else:
-        reason = "its warm-up, before it weighs"
+        reason = "the learner is still warming up"
     st.caption(f"At step {step:,} all transitions count the same: {reason}.")
 
 
@@ -174,14 +174,14 @@ def _exam(run: RunReader, fit: int) -> None:
     if metrics:
         st.caption(
             text.markdown(
-                "This fit's exam is on the steps that its policy took next, which it had not seen. "
+                "This fit's exam is the steps that its policy took next, which it had not seen. "
                 f"{about_weights(metrics)} {of_which_weights(run.learner, run.settings)}"
             )
         )
     else:
         st.caption(
-            "No exam of this fit: it ends with the next one. Weights that a loop hands in, and "
-            "runs of versions before exams, have none."
+            "This fit has no exam, or none yet: an exam ends with the next fit. Weights handed in "
+            "by your own loop, and runs recorded by versions before exams, have none."
         )
 
 
@@ -190,10 +190,10 @@ def of_which_weights(learner: str, settings: Settings) -> str:
     share = float(settings.get("model.uniform_share", 0))
     if share == 1:
         return (
-            "Its model was fitted with every transition counting the same (model.uniform_share 1), "
-            "as in the exam; the weights above only choose where rollouts start."
+            "Its model was fitted, and is examined, with every transition counting the same "
+            "(model.uniform_share 1); the weights above only choose where rollouts start."
         )
-    changes = [f"mixed with a share of {share:g} of uniform ones"] if share else []
+    changes = [f"mixed with uniform weights (share {share:g})"] if share else []
     if learner in LEARNERS and LEARNERS[learner].clipped and "model.weight_clip" in settings:
         changes.insert(0, f"clipped at {float(settings['model.weight_clip']):g}")
     if not changes:
@@ -211,22 +211,20 @@ def about_weights(metrics: Mapping[str, float]) -> str:
         return "Too few steps to tell where the weights should lie."
     if footprint is None or noise is None or not informative(noise):
         return (
-            "The footprint cannot be measured at this fit: without weights the buffer lies no "
-            "farther from these steps than two halves of them from each other."
+            "The footprint cannot be measured at this fit: the unweighted buffer is no farther "
+            "from these steps than their two halves are from each other."
         )
     if footprint < 1 - abs(noise):
         return (
-            f"The weights bring the buffer nearer to what the policy did: {footprint:.2f} of the "
-            "distance without weights is left."
+            f"The weights bring the buffer nearer to what the policy did: {footprint:.2f} of its "
+            "unweighted distance is left."
         )
     if footprint > 1 + abs(noise):
         return (
-            f"The weights take the buffer away from what the policy did: it lies {footprint:.2f} "
+            f"The weights take the buffer away from what the policy did: it is {footprint:.2f} "
             "times as far as without weights."
         )
-    return (
-        "With its weights the buffer lies as near to what the policy did as without, but for noise."
-    )
+    return "Weighted or not, the buffer is equally near to what the policy did, but for noise."
 
 
 def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
@@ -299,8 +297,8 @@ def _road(scope: Scope, run: RunReader, step: int) -> None:
         st.info("This road-and-rocks run has recorded no weights yet.", icon=":material/add_road:")
         return
     st.caption(
-        "A car must follow the road; on the rocks steering is turned, differently in every cell. "
-        "A linear model cannot be right everywhere: the weights decide where it is."
+        "A car must follow the road; on the rocks, steering is turned, differently in every cell. "
+        "A linear model cannot be right everywhere; the weights decide where it is right."
     )
     others = {one.run_id: one for one in shown if one.run_id != run.run_id}
     beside = address.choose_many(
@@ -363,8 +361,8 @@ def _export(runs: Sequence[RunReader], called: list[str]) -> None:
     st.download_button(
         "Share the scene as one HTML file", page_of_it, "road-and-rocks.html", "text/html",
         icon=":material/ios_share:", on_click="ignore",
-        help="opens in any browser, with nothing else beside it: every fit in turn, the cars "
-        "drive; some MB",
+        help="opens in any browser and needs no other file; plays every fit in turn, with the "
+        "cars; some MB",
     )  # fmt: skip
 
 

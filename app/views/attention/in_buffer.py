@@ -43,9 +43,9 @@ PLANES = {
     TWO: "two dimensions",
 }
 PLANE_HELP = (
-    "Two directions of (s, a, s'), standardised. In brackets the share of the log weights that the "
-    "plane's cells explain on rows held out: 0 is nothing, 1 all. The plane stays while the "
-    "timeline moves."
+    "Two directions of (s, a, s'), standardised. In brackets: the share of the log weights' "
+    "variance that the plane's cells explain on held-out rows (0 nothing, 1 all). The plane stays "
+    "the same while the timeline moves."
 )
 
 
@@ -177,12 +177,12 @@ def _pick_plane(
     if chosen not in shares:
         share = buffer_map.explained(run, keys[chosen], source)
         if not np.isfinite(share):
-            st.caption("This network cannot be read: the plane is where weights differ most.")
+            st.caption("This network cannot be read; the plane shown is where weights differ most.")
             return keys[CONTRAST]
         told.caption(f"It explains {percent(share, 0)} of the variance of the log weight.")
     elif of != source.label:
         row = st.container(horizontal=True, vertical_alignment="center")
-        row.caption(f"The plane is that of step {int(of):,}, so that what moves are the weights.")
+        row.caption(f"The plane is that of step {int(of):,}, so that only the weights move.")
         if row.button("Plane of this fit"):
             st.session_state["of"] = [source.label]
             st.rerun()
@@ -219,7 +219,7 @@ def _scenes(
 ) -> None:
     """Robots of the chosen rows; or of a row and of its nearest."""
     if not mask.any() and row is None:
-        st.caption("No row is chosen: there is nothing to show of it.")
+        st.caption("No row is chosen, so there is no scene to show.")
         return
     kinds = ["the chosen rows", "a row and its nearest"]
     kind = kinds[0]
@@ -252,7 +252,7 @@ def _scenes(
     )
     if buffer.drawn(run):
         widgets.stage(StatesChoice(run.run_id, groups), STAGE_HEIGHT, compact=True)
-        st.caption("A click on the panel's title opens it: there the moments can be played.")
+        st.caption("Click the panel's title to open it and play the moments.")
         return
     heavy, light = (buffer.moments(run, numbers) for _, numbers, _ in groups)
     figure = moments_figure(heavy, light, buffer.described(run), MOMENT_HEIGHT, run.run_id)

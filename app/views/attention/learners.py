@@ -28,12 +28,12 @@ END = "the end"
 FOREIGN = "policy.pt, policy.onnx or module:function"
 FOOTPRINT = st.column_config.TextColumn(
     width=96,
-    help="distance of the weighted buffer to fresh episodes of the policy over that of the "
-    "unweighted buffer, ± its standard error over those episodes (if there are five or more): 1 is "
-    "no better than no weights, 0 like the policy itself",
+    help="distance of the weighted buffer to fresh episodes of the policy, divided by the "
+    "unweighted buffer's, ± its standard error over those episodes (if there are five or more). "
+    "1: no nearer than without weights, 0: the policy itself",
 )
 COLUMNS = {
-    "ESS": ("ess", "percent", "effective sample (sum w)² / sum w², of the buffer"),
+    "ESS": ("ess", "percent", "effective sample (sum w)² / sum w², as a share of the buffer"),
     "weight 0": ("zeros", "percent", "share of transitions with weight zero"),
     "random": ("random_mean", "%.2f", "mean weight of the random data"),
     "newest": ("last_two", "%.2f", "mean weight of the newest tenth of the buffer"),
@@ -82,7 +82,7 @@ def draw(scope: Scope) -> None:
             st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
         if isinstance(run, Dataset):  # pages do not look for the user's files
             with st.expander("Weigh this data", icon=":material/scale:"):
-                st.caption("No run collected it: weigh it in a terminal, where it lies by now:")
+                st.caption("No run collected this data. Weigh it in a terminal, from where it is:")
                 st.code(form.shown(run.words(store)), language="bash", wrap_lines=True)
                 st.caption("It was last weighed by:")
                 st.code(run.command, language="bash", wrap_lines=True)
@@ -137,7 +137,7 @@ def nearest(footprints: Mapping[str, Floats]) -> str:
     one, other = (text.markdown(learner_label(name)) for name in (first, second))
     apart = max((float(np.ptp(of)) for of in finite.values() if len(of) > 1), default=None)
     if apart is None:
-        sure = "One seed each cannot tell whether that is chance"
+        sure = "With one seed each, that may be chance"
     else:
         sure = (
             f"That is {'more' if more - least > apart else 'no more'} than two seeds of one "
@@ -145,8 +145,8 @@ def nearest(footprints: Mapping[str, Floats]) -> str:
         )
     return (
         f"**{one} puts its weight nearest to the policy**: its weighted buffer keeps "
-        f"{percent(least, 0)} of the distance to the policy's fresh episodes, {other}'s, "
-        f"the next, {percent(more, 0)}. {sure}."
+        f"{percent(least, 0)} of the distance to fresh episodes of the policy; {other} comes next "
+        f"with {percent(more, 0)}. {sure}."
     )
 
 
@@ -217,12 +217,12 @@ def _weigh(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None
         if why := session.read_only_reason():
             st.caption(why)
         elif foreign or is_code(run.env):
-            st.caption("It runs code of yours, so it is started in a terminal.")
+            st.caption("This runs code of yours, so start it in a terminal.")
         elif st.button("Weigh", type="primary", disabled=not learners, key="weigh"):
             jobs.start(job, words)
         if len(usable) < len(LEARNERS):
             lacking = ", ".join(learner_label(name) for name in LEARNERS if name not in usable)
             st.caption(f"{lacking}: this run does not say which policies drew its actions.")
         if run.run_id not in policies and not widgets.left_out(run, "policy"):
-            st.caption("This run holds no policy of its own: it is written when a run has ended.")
+            st.caption("This run has no policy of its own yet: it is written when the run ends.")
     jobs.show(job)

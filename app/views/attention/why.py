@@ -164,10 +164,10 @@ def _rollouts(run: RunReader, rows: Rows, row: int, step: int | None) -> None:
     recorded = reasons.recorded_after(rows, row)[:, i]
     figure = rollout_lines(paths[:, :, i], recorded, names[i], run.learner, HEIGHT)
     chart(figure, "why rollouts", "rollouts of the policy in the model from this state")
-    by = "" if rollouts.own else ", by the run's last policy: that of this fit was not kept"
+    by = "" if rollouts.own else ", by the run's last policy (this fit's was not kept)"
     st.caption(
-        f"{len(paths)} rollouts in the model of step {rollouts.model_step:,}, the last that the "
-        f"run kept{by}."
+        f"{len(paths)} rollouts in the model of step {rollouts.model_step:,}, the last model that "
+        f"the run kept{by}."
     )
 
 
@@ -181,7 +181,7 @@ def _offer(run: RunReader, step: int | None) -> None:
     words = ["weigh", run.argument, "--policy", run.argument, "--step", str(step)]
     words += ["--learner", SUBJECT, "--seeds", "0", "--store", session.links().store]
     st.caption(
-        "Weigh the buffer again with this fit's policy and the run's settings to get its terms, "
+        "To get the terms, weigh the buffer again with this fit's policy and the run's settings, "
         "then choose them above, under Weights of. Its Q begins afresh, so the weights differ from "
         "the run's own."
     )
@@ -226,7 +226,7 @@ def command(
 def _start(job: str, run: RunReader, source: Source, mask: Mask) -> None:
     left, right = st.columns([3, 2], vertical_alignment="bottom")
     factors = left.pills(
-        "Its weight is multiplied by", list(FACTORS), default=list(FACTORS), key="factors",
+        "Multiply its weight by", list(FACTORS), default=list(FACTORS), key="factors",
         selection_mode="multi", format_func=factor_in_words,
     )  # fmt: skip
     count = int(mask.sum())
@@ -234,7 +234,7 @@ def _start(job: str, run: RunReader, source: Source, mask: Mask) -> None:
         st.caption(why)
     elif is_code(run.env):
         words = text.markdown(f"tom brush {run.argument} --env {run.env} --rows FILE --step N")
-        st.caption(f"It runs code of yours, so it is started in a terminal: {words}")
+        st.caption(f"This runs code of yours, so start it in a terminal: {words}")
     elif not 0 < count < len(mask):
         st.caption("Choose some rows of the buffer above, not all of them.")
     elif right.button(
@@ -295,6 +295,6 @@ def in_words(brushed: Brushed) -> str:
         said.append(f"Weight {factor_in_words(factor)}: {', '.join(parts)}.")
     size = f"{brushed.model['layers']} layers of {brushed.model['hidden']} units"
     return text.markdown(
-        f"{' '.join(said)} Not all: the seeds do not agree on the sign. Models of {size}, errors "
-        "one step ahead against those by the weights as they are."
+        f"{' '.join(said)} Not all: the seeds disagree on the sign. Models of {size}; one-step "
+        "errors, compared with those under unchanged weights."
     )

@@ -40,9 +40,7 @@ COLUMNS = {
     "settings": st.column_config.TextColumn("settings", width="medium"),
     "n": _number("n", width=45, help="runs in the group"),
     "steps": _number("up to", format="localized", help="where the shortest of the n runs ends"),
-    "final": _number(
-        "final", format="%.4g", help="over runs, of the value at that step, as the line has it"
-    ),
+    "final": _number("final", format="%.4g", help="over runs, of the line's value at that step"),
     **{
         name: _number(name, format="%.4g", help=f"over runs, of the {name} value up to that step")
         for name in ("best", "highest")
@@ -60,7 +58,7 @@ def page(scope: Scope) -> None:
     elif section == RUNS:
         runs.draw(scope)
     elif not scope.shown:
-        st.info("Every run is hidden: the eyes at the left open again.")
+        st.info("Every run is hidden. Click an eye on the left to show its runs again.")
     elif section == SETTINGS:
         runs.settings(scope.shown)
     else:
@@ -97,7 +95,7 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
         st.rerun()  # the list of runs and the timeline are not parts of the panels
     envs = sorted({run.env for run in scope.shown})
     if not envs:
-        st.info("Every run is hidden: the eyes at the left open again.")
+        st.info("Every run is hidden. Click an eye on the left to show its runs again.")
         return
     seen = measure.zoom(how.axes.x)
     first: tuple[list[Curve], list[Group]] | None = None
@@ -156,9 +154,7 @@ def _figure(
     looks = {scope.kinds[run.run_id]: scope.looks[scope.kinds[run.run_id]] for run in here}
     groups = list(grouped)
     if not grouped:
-        st.caption(
-            "Its values go back and forth along this axis, so each run has a line of its own."
-        )
+        st.caption("Values go back and forth along this axis, so each run has its own line.")
         called = told_apart(here)
         for curve in (curve for curve in curves if len(curve.step)):
             groups.append(alone(curve, called[curve.run_id]))
@@ -206,27 +202,27 @@ def remarks(grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, sco
     warning = text.markdown(statistics.remark(few).replace("seeds", unit)) if few else ""
     which = ", ".join(f"{names(cut)[run.run_id]} ({run.status.env_step:,})" for run in cut)
     bands = {
-        "bootstrap": f"Band: 95 % bootstrap interval of it (1000 resamples of the {unit}).",
+        "bootstrap": f"Band: its 95 % bootstrap interval (1000 resamples of the {unit}).",
         "deviation": f"Band: one standard deviation of the {unit} around their mean.",
     }
     said = {
         f"Line: {NAMES[how.statistic]} over {unit}.": True,
         bands.get(how.band, ""): how.band in bands,
-        f"Grouped by {text.markdown(scope.by)}: all else may differ.": unit == "runs",
+        f"Grouped by {text.markdown(scope.by)}: everything else may differ.": unit == "runs",
         f"{warning.capitalize()}.": bool(warning),
         "One seed has no band: a single run says little.": any(g.n == 1 for g in grouped),
         "Dotted: not all n runs reach these steps.": not all(g.complete.all() for g in grouped),
-        "Runs that were recorded at other steps are interpolated between theirs.": any(
+        "Runs recorded at other steps are interpolated.": any(
             group.interpolated for group in grouped
         ),
-        "Rows of the table end at different steps: Statistics compares at one.": unlike_ends(
+        "The table's rows end at different steps; Statistics compares at one step.": unlike_ends(
             grouped
         ),
-        "A seed that was run twice counts twice.": unit == "seeds" and measure.repeated(grouped),
-        "The first half of a recording of SAC is random steps, and they count here.": any(
+        "A seed run twice counts twice.": unit == "seeds" and measure.repeated(grouped),
+        "The first half of a SAC recording is random steps, which count here.": any(
             curve.learner == SAC_ALONE for curve in curves
         ),
-        f"Left out, as they ended well before the others: {text.markdown(which)}.": bool(cut),
+        f"Left out (ended well before the others): {text.markdown(which)}.": bool(cut),
     }
     return text.unbroken(" ".join(words for words, holds in said.items() if holds))
 

@@ -55,7 +55,7 @@ def choose(names: Sequence[str]) -> Measure:
     window = address.choose_one(
         st.select_slider, "Smoothing", WINDOWS, "smoothing", 1,
         lambda points: "none" if points == 1 else f"{points} points",
-        help="moving average of the lines and bands, after the runs were put together",
+        help="moving average of the lines and bands, after the runs are combined",
     )  # fmt: skip
     row = st.columns(3)
     with row[0]:

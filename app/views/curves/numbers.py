@@ -30,8 +30,8 @@ from tom.analysis.scores import (
 from tom.config import SAC_ALONE
 
 NO_SAC = (
-    "Recordings of SAC are left out: their first half is random steps that SAC never learns from, "
-    "so at the same step it has made fewer of its own."
+    "SAC recordings are left out: SAC never learns from their first half, which is random, so at "
+    "the same step it has taken fewer steps of its own."
 )
 
 
@@ -47,9 +47,9 @@ def draw(scope: Scope) -> None:
     )
     score = address.choose_one(
         row[1].selectbox, "Score of a run", SCORES, "score", SCORES[0],
-        help="all of them up to the step that every run reaches, so that a longer run has no "
-        "advantage; mean height: area under the curve over its length, from the first step that "
-        "every run has",
+        help="each up to the step that every run reaches, so that longer runs have no advantage; "
+        "mean height: area under the curve divided by its length, from the first step that every "
+        "run has",
     )  # fmt: skip
     metric = measure.METRICS[of]
     here = [run for run in scope.shown if run.env == env and run.learner != SAC_ALONE]
@@ -99,16 +99,16 @@ def _remarks(
     few = statistics.remark([group.n for group in grouped]) or "Ten seeds or more"
     words = [f"{text.markdown(few.replace('seed', scope.unit.removesuffix('s')))}."]
     if measure.repeated(grouped):
-        words.append("A seed that was run twice counts twice.")
+        words.append("A seed run twice counts twice.")
     ends = sorted((curve.step[-1], curve.run_id) for group in every for curve in group.curves)
-    words.append(f"Scores are those up to step {until:,.0f}, which every run reaches.")
+    words.append(f"Scores count up to step {until:,.0f}, which every run reaches.")
     if len(ends) > 1 and ends[0][0] < ends[1][0]:
-        words.append(f"There {text.markdown(ends[0][1])} ends; without it they would go on.")
+        words.append(f"{text.markdown(ends[0][1])} ends there; without it, they would go on.")
     if since is not None:
-        words.append(f"Heights are those from step {since:,.0f}, which every run has.")
+        words.append(f"Heights count from step {since:,.0f}, which every run has.")
     late = [text.markdown(scope.looks[g.kind].title) for g in every if g not in grouped]
     if late:
-        words.append(f"Left out, as nothing was recorded until then: {', '.join(late)}.")
+        words.append(f"Left out (nothing was recorded by then): {', '.join(late)}.")
     st.caption(" ".join(words))
 
 
@@ -157,10 +157,10 @@ def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) ->
     )  # fmt: skip
     with st.container(border=True):
         st.markdown(
-            "**Probability of improvement**: that a run of the first beats a run of the second",
-            help="ties count half; bars: 95 % bootstrap interval, too narrow for few runs, none "
-            "where a group has one; p: by permutation of the runs, right for few; corrected: for "
-            "the number of pairs (Holm), and not for other pages and steps that were looked at",
+            "**Probability of improvement**: that a run of the first group beats one of the second",
+            help="Ties count half. Bars: 95 % bootstrap interval, too narrow for few runs, absent "
+            "if a group has one run. p: by permutation of the runs, right for few. Corrected: for "
+            "the number of pairs (Holm), but not for other pages and steps that were looked at.",
         )
         colours = [looks[i].colour for i, _ in both]
         figure = improvement(pairs, colours, 90 + 40 * len(pairs), keep)

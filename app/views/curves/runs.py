@@ -112,7 +112,7 @@ def _label(store: Store, chosen: Sequence[RunReader]) -> None:
         tags = address.many(
             "Tags" if one else f"Tags of these {len(chosen)} runs", held, shared,
             accept_new_options=True, placeholder="type a tag and press Enter",
-            help=None if one else "those that all of them have; other tags of each run stay",
+            help=None if one else "the tags that all of them have; each run keeps its other tags",
         )  # fmt: skip
         saved = st.form_submit_button("Save", icon=":material/save:", type="primary")
 
@@ -147,7 +147,7 @@ def settings(shown: Sequence[RunReader]) -> None:
     words = f"The newest {MOST_COLUMNS} of {len(shown)} runs. " if len(shown) > len(some) else ""
     st.caption(
         f"{words}Settings that are the same everywhere are left out; values unlike the first run's "
-        f"are marked; {text.markdown(NONE)}: the run's version did not have it."
+        f"are marked; {text.markdown(NONE)}: the run's version lacked it."
     )
 
     def marked(row: pd.Series) -> list[str]:

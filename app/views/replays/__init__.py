@@ -70,7 +70,7 @@ def _side(scope: Scope) -> None:
     ]
     with st.container(border=True):
         st.markdown(
-            "**Weights** and **return**: zoom one and all follow; weights by position in the "
+            "**Weights** and **return**: zoom one chart and all follow; weights by position in the "
             "buffer, oldest at the bottom"
         )
         figure = over_fits(parts, session.mode(), 620)
@@ -122,7 +122,7 @@ def _film(scope: Scope) -> None:
         top[0].segmented_control, "Length", list(LENGTHS), "length", "1 min", required=True
     )
     try:
-        with st.spinner("The story is told to the film..."):
+        with st.spinner("Making the film..."):
             version = run.version("metrics"), run.name  # the film has the name as its title
             told = made_once(("story", run.path), version, lambda: story(run))
     except UserError as error:
@@ -133,13 +133,13 @@ def _film(scope: Scope) -> None:
     top[1].download_button(
         "One HTML file", film, f"{run.run_id}-cinema.html", "text/html", key="film",
         width="stretch", icon=":material/download:", on_click="ignore",
-        help="it opens without a server and without a network",
+        help="opens without a server or a network",
     )  # fmt: skip
     st.iframe(film, height=FILM_HEIGHT, alt="Film")
     st.caption(
-        "The colour of a robot or point is the mean weight of its hundredth of the buffer at each "
+        "A robot's or point's colour is the mean weight of its hundredth of the buffer at each "
         "fit. In front: an evaluation of the newest policy kept by then, at half speed. Space "
-        "plays and stops, arrows go a second. The MP4 button needs a browser that encodes: on this "
-        "machine, or by https; `tom studio --cinema` writes one too."
+        "plays and pauses, arrows move one second. MP4 needs a browser that can encode, on this "
+        "machine or over https; `tom studio --cinema` writes an MP4 too."
     )
     widgets.left_out(run, "other evaluations")

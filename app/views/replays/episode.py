@@ -103,15 +103,15 @@ def _numbers(replay: Replay) -> None:
         words = f"No ghost: {text.markdown(replay.no_ghost)}."
     elif replay.ghost is None and replay.drawn:
         words = (
-            "No ghost: what this task observes does not hold its joints; what the model "
-            f"imagined, of step {replay.model_step:,}, is compared beside."
+            "No ghost: this task's observations do not include its joints. The charts compare what "
+            f"the model of step {replay.model_step:,} imagined."
         )
     else:
         words = "The ghost plays the recorded actions in " + (
             f"the run's model of step {replay.model_step:,}."
             if replay.model_step == replay.step
-            else f"the model that the run kept, of step {replay.model_step:,}: not the model of "
-            f"step {replay.step:,}."
+            else f"the model that the run kept, of step {replay.model_step:,}, not of step "
+            f"{replay.step:,}."
         )
         if replay.drawn and not replay.road:
             words += " Its place on the ground is integrated from its velocity."
@@ -147,7 +147,7 @@ def _play(
             _controls(replay, playing=playing)
         else:
             with st.container(border=True):
-                ghost = "" if replay.imagined is None else "; in colour: as the model imagines them"
+                ghost = "" if replay.imagined is None else "; in colour, what the model imagines"
                 st.markdown(f"**Observations**{ghost}")
                 figure = observed_curves(replay, frame, CURVE_HEIGHT)
                 label = "observations of the episode, real and imagined"

@@ -132,6 +132,6 @@ def test_a_small_copy_keeps_the_model_and_cannot_go_on(hopper: RunReader, tmp_pa
     assert read_policy(small.path / "policy.npz").env == "hopper"
     assert verify(small) == []
     before = sorted(small.path.iterdir())
-    with pytest.raises(UserError, match="small copy, which cannot go on"):
+    with pytest.raises(UserError, match="small copy, which cannot be resumed"):
         resume(store, "hopper", steps=400)
     assert sorted(small.path.iterdir()) == before

@@ -85,5 +85,5 @@ def test_help_shows_the_defaults_of_what_is_named(capsys: pytest.CaptureFixture[
         config = resolve(env, "tom", "paper")
         assert isinstance(config, OnlineConfig)
         assert f"[{config.total_steps}]" in said[env]
-        assert f"units in a hidden layer [{config.model.hidden}]" in said[env]
+        assert f"units per hidden layer [{config.model.hidden}]" in said[env]
     assert said["hopper"] != said["humanoid"]

@@ -27,7 +27,7 @@ def test_a_closed_run_is_named_and_the_others_are_read(store: Path, capsys):
     assert [line.split(":")[0] for line in said.err.splitlines()] == ["closed-run"]
     assert ("seen-run" in said.out, "closed-run" in said.out) == (True, False)
     assert main(["runs", "verify", "--store", str(store)]) == 1
-    assert capsys.readouterr().err.count("closed-run: no run") == 1
+    assert capsys.readouterr().err.count("closed-run: not a run") == 1
 
 
 def test_a_closed_part_of_a_run_is_named_and_the_others_are_verified(store: Path, capsys):

@@ -98,7 +98,7 @@ def test_export_prune(store: Path, capsys, tmp_path: Path):
     assert "finished (a small copy)" in told(capsys, tmp_path)
     assert "checkpoint" in told(capsys, tmp_path, "show", "one")
     again = ["train", "--resume", "one", "--store", str(tmp_path)]
-    refused(again, capsys, "small copy, which cannot go on")
+    refused(again, capsys, "small copy, which cannot be resumed")
     freed = ask(capsys, store, "prune", "one", "--keep", "0", "--dry-run")["one"]
     assert freed == ask(capsys, store, "prune", "one", "--keep", "0")["one"]
     assert "freed 0.0 MB" in told(capsys, store, "prune", "one", "--keep", "0")

@@ -49,7 +49,7 @@ def test_a_named_run_that_died_before_its_first_checkpoint_begins_anew(tmp_path:
     assert main(command(tmp_path)) == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["state"] == "finished"
-    assert f"began anew; what was there is in {tmp_path / '.trash' / 'mine'}" in said.err
+    assert f"the old folder is in {tmp_path / '.trash' / 'mine'}" in said.err
     assert manage.trashed(Store(tmp_path)) == ["mine"]
     assert main(command(tmp_path)) == 0  # it is done
     assert manage.trashed(Store(tmp_path)) == ["mine"]

@@ -136,7 +136,7 @@ def test_a_function_of_numpy_arrays(tmp_path: Path, monkeypatch):
         assert action.flatten().tolist() == [0.5, -0.5]
     for function, message in {
         "wide": r"maps observations \(2, 3\) to \(2, 3\): it must return actions \(2, 2\), or",
-        "bad": "no finite number",
+        "bad": "not finite",
         "fails": "my_policy:fails fails on obs.* .2, 3., .*nothing here.*my_policy.py, line 9",
         "none": "module 'my_policy' has no function 'none'",
     }.items():
@@ -153,9 +153,9 @@ def test_files_that_are_no_policy_are_one_line(tmp_path: Path, monkeypatch):
     torch.save(evil, tmp_path / "old.pth", _use_new_zipfile_serialization=False)
     (tmp_path / "text.onnx").write_text("hello")
     for name in ("checkpoint.pt", "old.pth"):
-        with pytest.raises(UserError, match=f"{name} is no TorchScript file"):
+        with pytest.raises(UserError, match=f"{name} is not a TorchScript file"):
             load(name)
-    with pytest.raises(UserError, match="is no ONNX file that can be used"):
+    with pytest.raises(UserError, match="is not a usable ONNX file"):
         load("text.onnx")
     with pytest.raises(UserError, match=r"no policy at absent\.pt"):
         load("absent.pt")

@@ -138,7 +138,7 @@ def test_a_sweep_on_a_cluster_asked_to_stop__stops_with_a_checkpoint(tmp_path: P
     driver.send_signal(signal.SIGINT)
     out, _ = driver.communicate(timeout=WAIT_S)
     assert driver.returncode == 1
-    assert "the same command goes on" in out
+    assert "the same command continues" in out
     (run,) = Store(tmp_path).runs()
     assert run.status.state == "stopped"
     assert "stopped after" in (tmp_path / ".sweep" / f"{run.run_id}.log").read_text()
@@ -179,7 +179,7 @@ def test_the_head_of_a_cluster_killed__the_sweep_says_so_in_a_summary_and_can_go
     assert driver.returncode == 1
     assert "the head of the Ray cluster has not answered" in out
     assert "0 of 1 runs finished, 0 failed" in out
-    assert "the same command goes on" in out
+    assert "the same command continues" in out
     assert "GCS" not in out + error
     (run,) = store.runs()
     until(lambda: not RunReader(run.path).status.alive)

@@ -132,7 +132,7 @@ def test_a_stored_policy_is_the_policy_to_the_last_bit(tmp_path: Path):
 )
 def test_what_is_no_policy_is_one_line(tmp_path: Path, arrays: dict[str, np.ndarray]):
     np.savez(tmp_path / "policy.npz", **arrays)  # pyright: ignore[reportArgumentType]
-    with one_line("is no stored policy"):
+    with one_line("is not a stored policy"):
         read_policy(tmp_path / "policy.npz")
 
 
