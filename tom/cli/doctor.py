@@ -123,7 +123,7 @@ def _chromium(_: Path) -> Finding:
     path = shutil.which("chromium") or shutil.which("chromium-browser")
     if path:
         return Finding("ok", path)
-    text = "none; only `tom studio --screenshots` and the browser tests need it"
+    text = "none; only screenshots, films as MP4 and the browser tests need it"
     return Finding("note", text, "apt-get install chromium")
 
 
