@@ -12,7 +12,7 @@ from math import isfinite, nan
 from statistics import median
 from typing import NamedTuple
 
-from app.data import called, studies
+from app.data import run_names, studies
 from app.data.studies import FACTORS, Study
 from app.theme import learner_colour
 from tom.analysis.scores import HEIGHT
@@ -287,7 +287,7 @@ def _online(tables: Tables) -> Verdict:
         shares = [r["newest tenth"] for r in rows if (r["env"], r["learner"]) == (env, name)]
         mark = "circle-open" if name == "TOM" else "circle"
         value = median(shares)
-        points.append(Point(called.task(env), of_tom[name], colour, mark, value, nan, nan))
+        points.append(Point(run_names.task(env), of_tom[name], colour, mark, value, nan, nan))
     axis = "weight on the newest tenth (0.1: even weights)"
     side = (2 * early > len(uneven)) - (2 * early < len(uneven))
     word = {1: "Yes", 0: "In part", -1: "No"}[side]

@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.data import called
+from app.data import run_names
 from app.data.verdicts import LABELS, Panel, Point, symbol
 from app.figures import base
 from app.figures.base import band, line, styled, upright
@@ -110,7 +110,7 @@ def two_axes(panels: Sequence[Panel], height: int, keep: str) -> go.Figure:
     figure = base.panels(1, len(panels), height, keep, shared_yaxes=True, horizontal_spacing=0.03)
     shown: set[str] = set()
     for column, panel in enumerate(panels, 1):
-        name = called.task(panel.env)
+        name = run_names.task(panel.env)
         for way, distance, error in panel.ways:
             colour = learner_colour(WAYS[way].learner or "")
             label = text.plotly(LABELS.get(way, way))

@@ -13,7 +13,7 @@ import streamlit as st
 
 from app import parts, session, text
 from app.data import readers
-from app.data.called import names, task, told_apart
+from app.data.run_names import names, task, told_apart
 from app.figures.curves import Look, looks_of
 from app.parts import address, widgets
 from app.theme import learner_label

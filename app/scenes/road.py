@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from trimesh import PointCloud, creation
 
 from app.data import road
-from app.data.called import told_apart
 from app.data.road import CELLS, CENTRES, Picture, RoadShape, circle, on_road, outline
+from app.data.run_names import told_apart
 from app.figures.base import OCTAVES
 from app.figures.road import GOAL, START
 from app.scenes import solids

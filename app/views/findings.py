@@ -10,8 +10,8 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import session, text
 from app.data import studies
-from app.data.every_way import EVERY_WAY, every_ways
 from app.data.studies import QUESTIONS, Study
+from app.data.two_axes import EVERY_WAY, every_ways
 from app.data.verdicts import Verdict, verdict
 from app.figures.statistics import intervals, two_axes
 from app.parts import address, form, jobs

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from app.data import buffer, readers
 from app.data.buffer import WINDOW, poses, windows
-from app.data.called import names
+from app.data.run_names import names
 from app.figures.base import OCTAVES
 from app.theme import (
     BACKGROUND,

@@ -10,8 +10,8 @@ from app import session, text
 from app.data import answer, buffer, readers, road
 from app.data.answer import Answer, Side, newest_share
 from app.data.cache import made_once
-from app.data.called import task
 from app.data.exams import exams_of
+from app.data.run_names import task
 from app.figures.base import across, steps_in_words
 from app.figures.curves import group_curves
 from app.figures.road import road_map

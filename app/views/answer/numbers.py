@@ -11,8 +11,8 @@ from app import text
 from app.data import buffer, readers
 from app.data.buffer import Floats
 from app.data.cache import made_once
-from app.data.called import told_apart
 from app.data.exams import Exams, Ranking, Standing, exams_of, ranking
+from app.data.run_names import told_apart
 from app.figures.curves import looks_of
 from app.figures.exams import errors_by_age, footprint_error_return
 from app.parts import widgets

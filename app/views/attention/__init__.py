@@ -10,8 +10,8 @@ from app import session, text
 from app.data import buffer, readers, road, weighings
 from app.data.answer import newest_share
 from app.data.cache import made_once
-from app.data.called import names, told_apart
 from app.data.exams import at_fit
+from app.data.run_names import names, told_apart
 from app.data.weighings import Dataset
 from app.figures.road import cells, road_map
 from app.figures.weights import FLOOR, over_fits, weight_profile

@@ -14,7 +14,7 @@ from streamlit.delta_generator import DeltaGenerator
 from app import session, text
 from app.data import readers, tables
 from app.data.cache import made_once
-from app.data.called import names, task, told_apart
+from app.data.run_names import names, task, told_apart
 from app.figures.base import steps_in_words
 from app.figures.curves import alone, group_curves, label_ends, short_title
 from app.parts import address, shortlinks, timeline, widgets

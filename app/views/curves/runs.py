@@ -8,7 +8,7 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers, tables
-from app.data.called import told_apart
+from app.data.run_names import told_apart
 from app.parts import address
 from app.parts.scope import Scope, toggle
 from app.theme import learner_label

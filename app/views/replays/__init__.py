@@ -7,8 +7,8 @@ import streamlit as st
 from app import session, text
 from app.data import readers
 from app.data.cache import made_once
-from app.data.called import names, told_apart
 from app.data.replays import DEFAULT_HORIZON
+from app.data.run_names import names, told_apart
 from app.figures.weights import over_fits
 from app.parts import address, timeline, widgets
 from app.parts.plot import chart

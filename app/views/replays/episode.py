@@ -8,8 +8,8 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers, replays
-from app.data.called import names
 from app.data.replays import DEFAULT_HORIZON, HORIZONS, Replay
+from app.data.run_names import names
 from app.figures.replay import episode_curves, observed_curves, return_curve
 from app.parts import address, timeline, widgets
 from app.parts.plot import Point, chart

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from app.data import studies
-from app.data.every_way import every_ways
+from app.data.two_axes import every_ways
 from app.data.verdicts import Verdict, verdict
 
 GALLERY = Path(__file__).parents[3] / "runs" / "studies"

@@ -16,7 +16,7 @@ from studio_pages import Show, draw, figures
 from studio_runs import PENDULUM_TOM
 
 from app.data import readers, studies
-from app.data.every_way import every_ways
+from app.data.two_axes import every_ways
 from app.data.verdicts import verdict
 from app.links import Links
 from app.parts import jobs

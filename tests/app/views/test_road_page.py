@@ -9,7 +9,7 @@ from studio_pages import array, draw, figures, parts, trace
 from studio_runs import ROAD_MLE, ROAD_TOM, altered, info
 
 from app.data import road
-from app.data.called import names, task, told_apart
+from app.data.run_names import names, task, told_apart
 from app.theme import COLUMNS, DIVERGING, rgb
 from tom.readable import percent
 from tom.record.reader import RunReader

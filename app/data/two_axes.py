@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from contextlib import suppress
 from math import exp, log
 
-from app.data import called
+from app.data import run_names
 from app.data.studies import Study
 from app.data.verdicts import LABELS, Panel, Verdict, tables_of, word_of
 from tom.analysis.statistics import COVERAGE, Interval
@@ -84,7 +84,7 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
         all_worse = all(error.low > 1 for *_, error in ways)
         sides.append(bool(both) - all_worse)
         told.append(
-            f"{called.task(panel.env)}: {', '.join(both) or 'none' + ', all err more' * all_worse}."
+            f"{run_names.task(panel.env)}: {', '.join(both) or 'none' + ', all err more' * all_worse}."
         )
     sentence = (
         "Both nearer to the policy and of smaller error than uniform weights, by their intervals. "
@@ -92,7 +92,7 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
     )
     fewest = sorted({panel.recordings for panel in panels} & {*COVERAGE})[:1]
     few = "".join(f", with {n} about {COVERAGE[n]} of 100 hold the true mean" for n in fewest)
-    alone = [called.task(panel.env) for panel in panels if panel.recordings == 1]
+    alone = [run_names.task(panel.env) for panel in panels if panel.recordings == 1]
     none = f" One recording, of {' and '.join(alone)}, gives none." if alone else ""
     against = (
         f"Intervals over so few recordings are too narrow{few}, and "
@@ -104,7 +104,7 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
 def _caption(panels: Sequence[Panel], one_sided: Collection[str]) -> str:
     """`one_sided` are the ways that only one of the two studies has."""
     n = ", ".join(
-        f"{called.task(p.env)} {p.moments} moment{'s' * (p.moments > 1)} of {p.recordings} "
+        f"{run_names.task(p.env)} {p.moments} moment{'s' * (p.moments > 1)} of {p.recordings} "
         f"recording{'s' * (p.recordings > 1)}"
         for p in panels
     )
