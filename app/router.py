@@ -49,7 +49,7 @@ class View:
         view = self.load()
         shown = scope.draw()
         view.page(shown)
-        _read_ahead(shown.asked)
+        _read_ahead(shown.chosen_id)
 
 
 AHEAD = "read ahead"
@@ -120,12 +120,12 @@ def run() -> None:
     pages = [_listed(view, view.ICON, first=i == 0) for i, view in enumerate(views())]
     chosen = st.navigation(pages, position="top")
     st.session_state["pages"] = {page.url_path: page for page in pages}
-    address.visit(chosen.url_path)
+    address.enter_page(chosen.url_path)
     st.html(f'<h1 class="heard">{html.escape(chosen.title)}</h1>')  # the menu says it to the eye
     draw(chosen.run)
     task = st.session_state.get("task shown", "")
     st.set_page_config(page_title=" - ".join(filter(None, (chosen.title, task, "TOM Studio"))))
-    session.drawn()
+    session.note_drawn()
     FIRST.set()
 
 
@@ -147,5 +147,5 @@ def draw(page: Callable[[], None]) -> None:
         from app.parts import start
 
         if not weighings.datasets(store):
-            page = start.first_page
+            page = start.draw_first_page
     page()

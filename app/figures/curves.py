@@ -57,7 +57,7 @@ GAP, LETTER, ROOM = 15, 6.4, 14
 
 
 @dataclass(frozen=True)
-class Look:
+class Style:
     """The title and style of a group, the same in every figure."""
 
     title: str
@@ -68,9 +68,9 @@ class Look:
     """the paler colour inside a line that is hollow; its edge has the `colour`"""
 
 
-def looks_of(
+def styles_of(
     groups: Iterable[tuple[str, Kind]], by: str = USUAL, mode: Mode = "light"
-) -> dict[Kind, Look]:
+) -> dict[Kind, Style]:
     """The look of every kind among the groups, which are pairs (environment, kind).
 
     A learner has its own hue, each of its groups a shade of it. Grouped by a setting, each value
@@ -81,7 +81,7 @@ def looks_of(
     kinds = sorted({kind for _, kind in groups})
     if by in (USUAL, "learner"):
         offline = {kind for env, kind in groups if env == ROAD}  # where the paper's is the main one
-        return {kind: _look(kind, _title(kind, kinds), kind in offline) for kind in kinds}
+        return {kind: _style(kind, _title(kind, kinds), kind in offline) for kind in kinds}
     values = [kind for kind in kinds if not kind.learner]
     values.sort(key=lambda kind: natural(" ".join(kind)))
     # Seeds are numbers without a meaning.
@@ -89,12 +89,12 @@ def looks_of(
     colours = ramp(len(values), mode) if ordered else QUALITATIVE
     styles = [(colour, dash) for dash in DASHES for colour in colours]
     looks = {
-        kind: Look(_title(kind, values), *style, SYMBOLS[i % len(SYMBOLS)])
+        kind: Style(_title(kind, values), *style, SYMBOLS[i % len(SYMBOLS)])
         for i, (kind, style) in enumerate(zip(values, cycle(styles), strict=False))
     }
     learnt = [kind for kind in kinds if kind.learner]
     return looks | {
-        kind: Look(_title(kind, learnt), NEUTRAL, dash, learner_symbol(kind.learner))
+        kind: Style(_title(kind, learnt), NEUTRAL, dash, learner_symbol(kind.learner))
         for kind, dash in zip(learnt, cycle(DASHES), strict=False)
     }
 
@@ -107,7 +107,7 @@ def _title(kind: Kind, among: Iterable[Kind]) -> str:
     return ", ".join(filter(None, (called, kind.variant)))
 
 
-def _look(kind: Kind, title: str, offline: bool) -> Look:
+def _style(kind: Kind, title: str, offline: bool) -> Style:
     """A group's look: the hue of its learner, and a pale core unless it is of the main preset.
 
     It depends on nothing but the group itself, so that no filter changes it.
@@ -119,7 +119,7 @@ def _look(kind: Kind, title: str, offline: bool) -> Look:
         colour = grey[blake2b(kind.variant.encode(), digest_size=1).digest()[0] * len(grey) // 256]
     pale = {"": 0.0, main: 0.0, "smoke": 0.3}.get(kind.preset, 0.6)
     core = mixed(colour, "#ffffff", pale) if pale else ""
-    return Look(title, colour, "solid", learner_symbol(kind.learner), core)
+    return Style(title, colour, "solid", learner_symbol(kind.learner), core)
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def group_curves(
     singles: bool,
     axes: Axes = PLAIN,
     window: int = 1,
-    looks: Mapping[Kind, Look] | None = None,
+    looks: Mapping[Kind, Style] | None = None,
 ) -> go.Figure:
     """One line per group with its band, thin lines for single runs, dots if runs are missing.
 
@@ -177,7 +177,7 @@ def group_curves(
     """
     figure = go.Figure()
     drawn: list[tuple[NDArray, NDArray]] = []
-    styles = looks or looks_of((group.env, group.kind) for group in groups)
+    styles = looks or styles_of((group.env, group.kind) for group in groups)
     named: dict[str, list[str]] = {}
     for group in groups:
         smooth, look, key = (
@@ -234,7 +234,7 @@ def return_line(curve: Curve, **more: Any) -> tuple[go.Scatter, list[str]]:
     return drawn, [f"returns thinned to {POINTS} points a line"] if cut else []
 
 
-def _single(curve: Curve, look: Look, key: str) -> go.Scatter:
+def _single(curve: Curve, look: Style, key: str) -> go.Scatter:
     step, value, _ = decimate(curve.step, curve.value, POINTS)
     hover = f"{text.plotly(learner_label(curve.learner))} s{curve.seed}: %{{y:.4g}}<extra></extra>"
     return line(
@@ -252,7 +252,7 @@ def _single(curve: Curve, look: Look, key: str) -> go.Scatter:
     )
 
 
-def _middle(group: Group, look: Look, key: str) -> list[go.Scatter]:
+def _middle(group: Group, look: Style, key: str) -> list[go.Scatter]:
     """The line of a group: solid where all its runs are, and dotted elsewhere."""
     full, runs = group.complete, [curve.run_id for curve in group.curves]
     count = f"n = {group.n}" if group.n > 1 else "1 seed, no band"
@@ -292,13 +292,13 @@ def _middle(group: Group, look: Look, key: str) -> list[go.Scatter]:
     return lines
 
 
-def core(x: NDArray, y: NDArray, look: Look) -> go.Scatter:
+def core(x: NDArray, y: NDArray, look: Style) -> go.Scatter:
     """The inside of a hollow line, drawn over it."""
     return line(x, y, look.core, HOLLOW - 2.4, None, hoverinfo="skip", showlegend=False, name=CORE)
 
 
 def label_ends(
-    figure: go.Figure, groups: Sequence[Group], looks: Mapping[Kind, Look], axes: Axes
+    figure: go.Figure, groups: Sequence[Group], looks: Mapping[Kind, Style], axes: Axes
 ) -> go.Figure:
     """Name every group's line at the right of the figure, at the height where it ends.
 

@@ -25,15 +25,19 @@ def footprint_error_return(exams: Sequence[Exams], height: int) -> go.Figure:
     """One point per fit, coloured by learner: footprint and next return against error.
 
     Both panels share the error axis, so that a fit is at the same height in both. Uninformative
-    footprints (`Exams.telling`) are left out of the first panel, which says so.
+    footprints (`Exams.informative`) are left out of the first panel, which says so.
     """
     keep = " ".join(["exams", *(run.run_id for run in exams)])
     figure = panels(1, 2, height, keep, shared_yaxes=True, horizontal_spacing=0.03)
     share = min(FITS / max(sum(len(run.step) for run in exams), 1), 1.0)
-    shown = [run.at(spread(len(run.step), int(np.ceil(share * len(run.step))))) for run in exams]
+    shown = [
+        run.subset(spread(len(run.step), int(np.ceil(share * len(run.step))))) for run in exams
+    ]
     for learner in dict.fromkeys(run.learner for run in shown):
         runs = [run for run in shown if run.learner == learner]
-        figure.add_trace(_points(learner, [run.at(run.telling) for run in runs], "footprint"), 1, 1)
+        figure.add_trace(
+            _points(learner, [run.subset(run.informative) for run in runs], "footprint"), 1, 1
+        )
         figure.add_trace(_points(learner, runs, "returns"), 1, 2)
         # The legend's entry, also if the first panel has none of the learner's points.
         key = {"size": LEGEND, "color": learner_colour(learner), "symbol": learner_symbol(learner)}
@@ -47,7 +51,7 @@ def footprint_error_return(exams: Sequence[Exams], height: int) -> go.Figure:
     figure.update_yaxes(title_text="one-step error in the exam (std)", col=1)
     fits, drawn = (sum(len(run.step) for run in of) for of in (exams, shown))
     words = [f"{drawn:,} of {fits:,} fits are drawn"] if drawn < fits else []
-    if mute := sum(int((~run.telling).sum()) for run in exams):
+    if mute := sum(int((~run.informative).sum()) for run in exams):
         words.append(f"without {mute:,} of {fits:,} fits, whose footprint says nothing")
     return note(figure, words, right=0.48)
 
@@ -69,7 +73,7 @@ def _points(learner: str, runs: Sequence[Exams], x: str) -> go.Scatter:
 
 
 def _hover(run: Exams, i: int) -> str:
-    nothing = "" if run.telling[i] else ": says nothing"
+    nothing = "" if run.informative[i] else ": says nothing"
     return (
         f"<b>{text.plotly(run.group)}</b> seed {run.seed}<br>{text.plotly(run.run_id)}"
         f"<br>fit at step {run.step[i]:,}"

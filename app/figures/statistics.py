@@ -15,7 +15,7 @@ from app.data import run_names
 from app.data.verdicts import LABELS, Panel, Point, symbol
 from app.figures import base
 from app.figures.base import band, line, styled, upright
-from app.figures.curves import HOLLOW, Look, core
+from app.figures.curves import HOLLOW, Style, core
 from app.theme import NEUTRAL, faded, learner_colour
 from tom.analysis.statistics import Interval
 from tom.studies.frozen import WAYS
@@ -25,7 +25,7 @@ from tom.studies.frozen import WAYS
 class Profile:
     """Share of a group's runs above each threshold (T,), and its band (NaN for one run)."""
 
-    look: Look
+    look: Style
     share: NDArray[np.float64]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
@@ -110,7 +110,7 @@ def two_axes(panels: Sequence[Panel], height: int, keep: str) -> go.Figure:
     figure = base.panels(1, len(panels), height, keep, shared_yaxes=True, horizontal_spacing=0.03)
     shown: set[str] = set()
     for column, panel in enumerate(panels, 1):
-        name = run_names.task(panel.env)
+        name = run_names.task_title(panel.env)
         for way, distance, error in panel.ways:
             colour = learner_colour(WAYS[way].learner or "")
             label = text.plotly(LABELS.get(way, way))

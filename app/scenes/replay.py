@@ -42,7 +42,7 @@ class ReplayFrame(Frame):
         replay = replays.load(run, choice.step, choice.episode, choice.horizon)
         if replay is None:
             raise UserError(f"episode {choice.episode + 1} of step {choice.step} cannot be read")
-        if not replay.drawn:
+        if not replay.has_scene:
             raise UserError(f"there is nothing to draw of {run.env}: its curves are on the page")
         at = choice.frame if self._choice is None else self._at
         self._choice = choice

@@ -10,7 +10,7 @@ from trimesh import PointCloud, creation
 
 from app.data import road
 from app.data.road import CELLS, CENTRES, Picture, RoadShape, circle, on_road, outline
-from app.data.run_names import told_apart
+from app.data.run_names import distinct_names
 from app.figures.base import OCTAVES
 from app.figures.road import GOAL, START
 from app.scenes import solids
@@ -348,7 +348,7 @@ class RoadFrame(Frame):
             aspect = camera.image_width / high if high else ASPECT
             self.look(*view(len(shown), camera.fov, aspect))
         self.clear()
-        called = told_apart([self.store.run(run) for run, _ in shown])
+        called = distinct_names([self.store.run(run) for run, _ in shown])
         self._scenes = [
             RoadScene(self.client.scene, picture, self.mode, i, called[run])
             for i, (run, picture) in enumerate(shown)

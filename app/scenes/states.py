@@ -116,7 +116,7 @@ def _groups(
     run: RunReader, choice: StatesChoice, model: Model, mode: Mode
 ) -> list[tuple[str, Solids, list[Colour]]]:
     """The title, the robots and their colours of each group that has rows."""
-    recorded, _, state, _ = buffer.with_states(run)
+    recorded, _, state, _ = buffer.recorded_with_states(run)
     ended = recorded.ended()
     if max((row for _, rows, _ in choice.groups for row in rows), default=0) >= len(ended):
         raise UserError("these transitions are no longer in the run's record")

@@ -113,7 +113,7 @@ def take(store: Path, folder: Path) -> int:
                 )
                 for name, (path, choices) in SHOWN.items():
                     page = context.new_page()
-                    page.goto(links.opened(f"{path}?{urlencode(choices)}".removesuffix("?")))
+                    page.goto(links.user_address(f"{path}?{urlencode(choices)}".removesuffix("?")))
                     target = folder / f"{name}-{width}-{mode}.png"
                     target.write_bytes(compact(settled_picture(page)))
                     print(target, flush=True)

@@ -55,7 +55,7 @@ def export(
     if not told:
         which = f"run '{run_id}'" if run_id else f"a run in {store}"
         raise UserError(f"no story of {which}: it needs model fits and its buffer")
-    run = min(told, key=widgets.telling)
+    run = min(told, key=widgets.interest_key)
     page = cinema(story(run), run.learner, mode, seconds)
     with opened(page) as tab:
         with ProgressReport("seconds of the film", round(seconds), sys.stderr) as bar:

@@ -113,7 +113,7 @@ def run(asked: Links, *, browser: bool) -> int:
             return 1
         missing = "" if Path(links.store).exists() else ", which is not there yet"
         store = f"store {links.store}{missing}"
-        print(f"tom studio: {links.opened()}  ({store}; Ctrl-C stops it)", flush=True)
+        print(f"tom studio: {links.user_address()}  ({store}; Ctrl-C stops it)", flush=True)
         if links.base:
             print(f"            behind a proxy: its address in place of {links.root}", flush=True)
         elif links.local_only:
@@ -123,7 +123,9 @@ def run(asked: Links, *, browser: bool) -> int:
         if browser and display:
             # A file that redirects to it, because all users can see a browser's arguments.
             page = links.file("studio.html")
-            page.write_text(f'<!doctype html><script>location.replace("{links.opened()}")</script>')
+            page.write_text(
+                f'<!doctype html><script>location.replace("{links.user_address()}")</script>'
+            )
             webbrowser.open(page.as_uri())
         while not stopping.wait(0.5):
             if not server.running:

@@ -123,7 +123,7 @@ def routes(links: Links) -> list[BaseRoute]:
         return FileResponse(path, headers={"Content-Security-Policy": allowed})
 
     def array(request: Request) -> Response:
-        content = cache.array(request.path_params["name"])
+        content = cache.published_array(request.path_params["name"])
         if content is None:
             return PlainTextResponse("no such array", status_code=404)
         headers = {"Cache-Control": f"private, {KEPT}", **viewers.PLAIN}

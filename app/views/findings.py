@@ -11,7 +11,7 @@ from streamlit.delta_generator import DeltaGenerator
 from app import session, text
 from app.data import studies
 from app.data.studies import QUESTIONS, Study
-from app.data.two_axes import EVERY_WAY, every_ways
+from app.data.two_axes import QUESTION, verdicts
 from app.data.verdicts import Verdict, verdict
 from app.figures.statistics import intervals, two_axes
 from app.parts import address, form, jobs
@@ -36,11 +36,11 @@ def page(scope: Scope) -> None:
     if listed:
         opened = address.value_of("study", lambda given: "".join(given[-1:]))
         if opened in by_name:
-            asked = by_name[opened].asked
-            alike = [study.name for study in listed if study.asked == asked]
+            asked = by_name[opened].question_key
+            alike = [study.name for study in listed if study.question_key == asked]
             _whole(by_name[address.choose_part([EVERY, *alike], "study", "Study")])
         else:
-            address.keep("study", [])
+            address.write("study", [])
             _cards(listed)
     else:
         st.info(f"No study has been computed yet: none lies in `{studies.FOLDER.absolute()}`.")
@@ -52,23 +52,23 @@ def page(scope: Scope) -> None:
 
 def _cards(listed: Sequence[Study]) -> None:
     """All ways of weighing on two axes, where both studies are known; then each question."""
-    both = every_ways(listed)
+    both = verdicts(listed)
     if both:
         with st.container(border=True):
-            st.header(EVERY_WAY, anchor=False)
+            st.header(QUESTION, anchor=False)
             study = _chosen([study for study in listed if study.name in both], "ways")
             found = both[study.name]
             label = "every way of weighing: distance to the policy, and its model's error"
             with _judged(found):
                 chart(
                     two_axes(found.panels, 430, study.name), f"every way {study.name}", label,
-                    caption=f"{EVERY_WAY} {found.sentence} {found.caption}",
+                    caption=f"{QUESTION} {found.sentence} {found.caption}",
                 )  # fmt: skip
                 st.caption(text.markdown(found.caption), width=WIDE)
     grid = st.container(horizontal=True, key="grid")
     alike: dict[str, list[Study]] = {}
     for study in listed:
-        alike.setdefault(study.asked, []).append(study)
+        alike.setdefault(study.question_key, []).append(study)
     for asked, of in alike.items():
         with grid, st.container(border=True, height="stretch"):
             head = st.container()
@@ -82,7 +82,7 @@ def _chosen(alike: Sequence[Study], key: str) -> Study:
     by_name = {study.name: study for study in alike}
     name = address.choose_one(
         st.selectbox, "Measured on", [*by_name], key, alike[0].name,
-        lambda name: by_name[name].measured, width=400,
+        lambda name: by_name[name].distinction, width=400,
     )  # fmt: skip
     return by_name[name]
 
@@ -90,10 +90,10 @@ def _chosen(alike: Sequence[Study], key: str) -> Study:
 def _judged(found: Verdict) -> DeltaGenerator:
     """A verdict in a word and a sentence, a place for its figure, and what speaks against it."""
     st.markdown(f"### {SIGNS[found.word]} {found.word}")
-    st.markdown(text.linked(text.markdown(found.sentence)))
+    st.markdown(text.with_glossary_links(text.markdown(found.sentence)))
     place = st.container()
     if found.against:
-        st.markdown(f"**Against it.** {text.linked(text.markdown(found.against))}")
+        st.markdown(f"**Against it.** {text.with_glossary_links(text.markdown(found.against))}")
     return place
 
 
@@ -197,8 +197,8 @@ def _offer(names: Sequence[str]) -> None:
         about = () if name in ("road", "tabular") else ("--store", session.links().store)
         words = ["reproduce", name, *about]
         left, right = st.columns([5, 1], vertical_alignment="center")
-        left.code(form.shown(words), language="bash")
-        disabled = jobs.runs(name) or bool(why)
+        left.code(form.command_line(words), language="bash")
+        disabled = jobs.is_running(name) or bool(why)
         if right.button("Run", key=f"run {name}", disabled=disabled, width="stretch"):
             jobs.start(name, words)
             st.rerun()

@@ -29,7 +29,7 @@ def differences(runs: Sequence[RunReader]) -> dict[str, list[str]]:
     return {path: words for path, words in rows.items() if len(set(words)) > 1}
 
 
-def telling_presets(kinds: Sequence[RunReader]) -> list[str]:
+def distinguishing_presets(kinds: Sequence[RunReader]) -> list[str]:
     """The preset of each, empty if its learner has only one preset in its task."""
     used: dict[tuple[str, str], set[str]] = {}
     for one in kinds:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from app.data import buffer, readers
 from app.data.buffer import WINDOW, poses, windows
-from app.data.run_names import names
+from app.data.run_names import full_names
 from app.figures.base import OCTAVES
 from app.theme import (
     BACKGROUND,
@@ -64,7 +64,7 @@ def story(run: RunReader) -> dict[str, Any]:
     profiles = readers.profiles(run)
     if len(profiles.env_step) < 2:
         raise UserError("a story needs two model fits at least, and this run has kept fewer")
-    recorded, _, state, _ = buffer.with_states(run)
+    recorded, _, state, _ = buffer.recorded_with_states(run)
     if not len(recorded):
         raise UserError("its buffer is not there: no robots and no map of the buffer can be drawn")
     known, model = task_of(run), scene_of(run)
@@ -74,7 +74,7 @@ def story(run: RunReader) -> dict[str, Any]:
     rows = recorded[: int(profiles.env_step[-1])]
     step, value = curve_points(readers.metrics(run), "eval/return")
     return {
-        "title": names([run])[run.run_id],
+        "title": full_names([run])[run.run_id],
         "steps": profiles.env_step[fits].tolist(),
         "count": profiles.count[fits].tolist(),
         "ess": np.round(profiles.ess[fits], 4).tolist(),
@@ -83,7 +83,7 @@ def story(run: RunReader) -> dict[str, Any]:
         "returns": {"step": np.asarray(step).tolist(), "value": np.round(value, 2).tolist()},
         "cloud": _cloud(rows),
         "crowd": _crowd(known, model, rows, state),
-        "policy": _policy(known, model, readers.reader(run)),
+        "policy": _policy(known, model, readers.fresh_reader(run)),
         "dt": model.dt,
     }
 

@@ -10,10 +10,10 @@ import streamlit as st
 from app import text
 from app.data import buffer, readers
 from app.data.buffer import Floats
-from app.data.cache import made_once
+from app.data.cache import get_or_make
 from app.data.exams import Exams, Ranking, Standing, exams_of, ranking
-from app.data.run_names import told_apart
-from app.figures.curves import looks_of
+from app.data.run_names import distinct_names
+from app.figures.curves import styles_of
 from app.figures.exams import errors_by_age, footprint_error_return
 from app.parts import widgets
 from app.parts.plot import chart
@@ -78,7 +78,7 @@ def draw(scope: Scope, env: str) -> None:
         "A model can err little here and much where its policy goes next: only the exams above are "
         "out of sample. What each run measured on its own buffer is on Curves, as model/error_*."
     )
-    run = scope.one(lambda run: run in alike and buffer.has_rows(run), widgets.telling)
+    run = scope.choose_run(lambda run: run in alike and buffer.has_rows(run), widgets.interest_key)
     if run is not None:
         _on_one_buffer(run, alike)
 
@@ -96,17 +96,18 @@ def _exams(runs: Sequence[RunReader]) -> None:
         return exams, ranking(exams, counted_from(map(readers.metrics, runs)))
 
     version = tuple(
-        (run.path, run.version("metrics"), readers.weighed(run).version("metrics")) for run in runs
+        (run.path, run.version("metrics"), readers.first_weight_reader(run).version("metrics"))
+        for run in runs
     )
     key = "exams", *(run.path for run in runs)
-    exams, result = made_once(key, version, make)
+    exams, result = get_or_make(key, version, make)
     sat = {one.run_id: result.ended_before(one) for one in exams}
     without = [run for run in runs if run.run_id not in sat]
     early = [run for run in runs if sat.get(run.run_id)]
     _left_out(runs, {NO_EXAM: without, f"ended before step {result.until:,.0f}": early})
     if not exams:
         return
-    st.markdown(text.linked(text.unbroken(verdict(result))), help=WHAT)
+    st.markdown(text.with_glossary_links(text.unbroken(verdict(result))), help=WHAT)
     st.dataframe(table(result), hide_index=True, column_config=COLUMNS, alt="The exams")
     with st.container(border=True):
         st.markdown(
@@ -125,7 +126,7 @@ def _exams(runs: Sequence[RunReader]) -> None:
 def group_names(runs: Sequence[RunReader]) -> dict[str, str]:
     """By run id the name of its group: its learner, and what distinguishes it from other groups."""
     kinds = kinds_of(runs)
-    groups = looks_of((run.env, kinds[run.run_id]) for run in runs)
+    groups = styles_of((run.env, kinds[run.run_id]) for run in runs)
     return {run_id: groups[kind].title for run_id, kind in kinds.items()}
 
 
@@ -141,7 +142,7 @@ def verdict(result: Ranking) -> str:
             f"needed). The table has the errors where the policy goes, in the exams{counted}."
         )
     first, second = result.ranked[:2]
-    beats, p = result.first_beats_second, result.chance
+    beats, p = result.first_beats_second, result.p_value
     one, other = (text.markdown(standing.name) for standing in (first, second))
     errors = (
         f"{short(first.typical)}, {percent(1 - first.typical / second.typical, 0)} less than "
@@ -179,7 +180,7 @@ def table(result: Ranking) -> pd.DataFrame:
             "one step": mean(one.error),
             "five steps": mean(one.rollout_error),
             "footprint": mean(one.footprint),
-            "fits that count": one.telling,
+            "fits that count": one.informative_fits,
         }
         for one in result.standings
     )
@@ -198,7 +199,7 @@ def _on_one_buffer(run: RunReader, others: Sequence[RunReader]) -> None:
         if len(errors) == MODELS:
             break
     if not errors:
-        if not widgets.left_out_of_all(others, "model"):
+        if not widgets.show_left_out_of_all(others, "model"):
             st.caption("No run of this task has kept a model whose errors could be shown.")
         return
     with st.container(border=True):
@@ -237,7 +238,7 @@ def of_like_length(runs: Sequence[RunReader]) -> tuple[list[RunReader], list[Run
 
 def _left_out(runs: Sequence[RunReader], left_out: Mapping[str, Sequence[RunReader]]) -> None:
     """Name the runs that are left out of `runs`, a line for each reason."""
-    called = told_apart(runs, by_user=True)
+    called = distinct_names(runs, by_user=True)
     for reason, of in left_out.items():
         if of:
             named = text.markdown("; ".join(called[run.run_id] for run in of))

@@ -13,7 +13,7 @@ from app.data import buffer, buffer_map, weighings
 from app.data.buffer import Rows
 from app.data.buffer_map import CONTRAST, MODEL, POLICY, PRINCIPAL, TWO, Source
 from app.data.columns import RANK, WEIGHT
-from app.data.readers import reader
+from app.data.readers import fresh_reader
 from app.data.selection import Mask, Selection
 from app.data.weighings import Weighing
 from app.figures.replay import moments_figure
@@ -57,7 +57,7 @@ def choose(
 ) -> RunReader | None:
     """The run of the list, or a data set that `tom weigh` was given, chosen at `place`."""
     data = {one.run_id: one for one in weighings.datasets(session.links().store)}
-    run = data.get(scope.asked) or scope.one(suits, usual)
+    run = data.get(scope.chosen_id) or scope.choose_run(suits, usual)
     if not data:
         return run
     options = [*([] if run is None else ["the chosen run"]), *data]
@@ -78,7 +78,7 @@ def draw(run: RunReader, fit: int) -> None:
     """The map of a run's buffer at a fit, or of a data set; its histograms; the chosen rows."""
     sources = buffer_map.sources(run)
     if not sources:
-        if not widgets.left_out(run, "buffer", "other snapshots"):
+        if not widgets.show_left_out(run, "buffer", "other snapshots"):
             st.warning(UNREADABLE)
         return
     top = st.columns(3, vertical_alignment="bottom")
@@ -98,29 +98,29 @@ def draw(run: RunReader, fit: int) -> None:
         help="offered as a colour of the map: how many times the other's weight a row has",
     )  # fmt: skip
     key = _pick_plane(run, sources, source, top[2])
-    where, outline = address.words("where"), address.words("outline")
+    where, outline = address.get_all("where"), address.get_all("outline")
     selection, row = Selection.of(where, outline), why.asked(rows)
     shown = [one for one in sources.values() if not one.weighing]
     given = _given(run, rows, source, [source] if source.weighing else shown, row)
     keys = [key, *({selection.outline.plane} - {key} if selection.outline else ())]
-    given["planes"] = [plane for one in keys if (plane := buffer_map.given_plane(run, one))]
+    given["planes"] = [plane for one in keys if (plane := buffer_map.plane_for_browser(run, one))]
     beside = sources.get(against)
-    given["against"] = buffer_map.given_source(run, beside) if beside else None
+    given["against"] = buffer_map.source_for_browser(run, beside) if beside else None
     state = st.session_state
     with st.container(border=True):
         map.draw(
             given, 0 if source.weighing else int(source.label), where, outline,
-            address.word("colour", WEIGHT.name),
+            address.get("colour", WEIGHT.name),
             chosen=lambda where, outline: state.update(where=where, outline=outline),
             picked=why.pick, coloured=lambda name: state.update(colour=[name]),
         )  # fmt: skip
-    mask = buffer_map.chosen(run, source, selection)
+    mask = buffer_map.selection_mask(run, source, selection)
     if run.env != ROAD:  # its states are positions, which its own map shows
         _scenes(run, rows, source, mask, selection, row)
         why.brush(run, source, mask)
     why.section(run, rows, source, row)
     _listed(run, rows, source, mask)
-    widgets.left_out(run, "other snapshots", "simulator states")
+    widgets.show_left_out(run, "other snapshots", "simulator states")
 
 
 def _pick_weights(
@@ -156,8 +156,8 @@ def _pick_plane(
     of = asked if asked in fits and not source.weighing else usual
     keys = {CONTRAST: f"{CONTRAST}@{of}", PRINCIPAL: f"{PRINCIPAL}@{of}"}
     # A network takes a second or more to see all rows, so its share is told once it is chosen.
-    shares = {kind: buffer_map.explained(run, key, source) for kind, key in keys.items()}
-    keys |= buffer_map.layers(run)
+    shares = {kind: buffer_map.explained_share(run, key, source) for kind, key in keys.items()}
+    keys |= buffer_map.network_planes(run)
     names = [one.name for one in buffer_map.dimensions(run)]
     kinds = [*keys, *([TWO] if len(names) > 1 else [])]
     chosen = address.choose_one(
@@ -173,9 +173,9 @@ def _pick_plane(
         rest = [name for name in names if name != x]
         y = address.choose_one(columns[1].selectbox, "Up", rest, "up", rest[0])
         keys[TWO] = f"{TWO}@{x}|{y}"
-    address.keep("of", [] if of == usual or chosen not in shares else [of])
+    address.write("of", [] if of == usual or chosen not in shares else [of])
     if chosen not in shares:
-        share = buffer_map.explained(run, keys[chosen], source)
+        share = buffer_map.explained_share(run, keys[chosen], source)
         if not np.isfinite(share):
             st.caption("This network cannot be read: the plane is where weights differ most.")
             return keys[CONTRAST]
@@ -199,8 +199,8 @@ def _given(
         same = np.flatnonzero(rows.episode == rows.episode[row])
         path = [rows.first + int(same[0]), rows.first + int(same[-1])]
     return {
-        "columns": buffer_map.given_columns(run, shown),
-        "sources": [buffer_map.given_source(run, one) for one in shown],
+        "columns": buffer_map.columns_for_browser(run, shown),
+        "sources": [buffer_map.source_for_browser(run, one) for one in shown],
         "row": None if row is None else rows.first + row,
         "path": path,
         "near": near,
@@ -250,12 +250,12 @@ def _scenes(
         )
         for title, side in zip(titles, (left, right), strict=True)
     )
-    if buffer.drawn(run):
-        widgets.stage(StatesChoice(run.run_id, groups), STAGE_HEIGHT, compact=True)
+    if buffer.has_robot(run):
+        widgets.show_scene(StatesChoice(run.run_id, groups), STAGE_HEIGHT, compact=True)
         st.caption("A click on the panel's title opens it: there the moments can be played.")
         return
-    heavy, light = (buffer.moments(run, numbers) for _, numbers, _ in groups)
-    figure = moments_figure(heavy, light, buffer.described(run), MOMENT_HEIGHT, run.run_id)
+    heavy, light = (buffer.observations_around(run, numbers) for _, numbers, _ in groups)
+    figure = moments_figure(heavy, light, buffer.observation_names(run), MOMENT_HEIGHT, run.run_id)
     chart(figure, "moments", "observations round the heaviest and the lightest transitions")
     st.caption(
         "There is no robot to draw. Every line is a moment: the transition at 0, and the steps of "
@@ -289,19 +289,19 @@ def _listed(run: RunReader, rows: Rows, source: Source, mask: Mask) -> None:
 def table(run: RunReader, source: Source) -> pd.DataFrame:
     """The rows of these weights, a line each: `tom.load(...).rows(...)`."""
     if source.weighing is None:
-        return Run(reader(run)).rows(int(source.label))
+        return Run(fresh_reader(run)).rows(int(source.label))
     return read_weighing(source.weighing.path).rows(source.column)
 
 
 def listed(run: RunReader, rows: Rows, index: np.ndarray) -> pd.DataFrame:
     """One line for each of these rows: its weight, its origin, s, a, r and s'."""
     part = rows.rows[index].numpy()
-    names, actions = buffer.named(run)
+    names, actions = buffer.obs_and_action_names(run)
     table = {
         "weight": rows.weight[index],
         "row": rows.first + index,
         "episode": rows.episode[index] + 1,
-        "step of the episode": rows.place[index] + 1,
+        "step of the episode": rows.episode_step[index] + 1,
         "return of the episode": rows.episode_return[index],
         "policy version": rows.version[index] if rows.policies_known else "not known",
         "reward": part.reward,

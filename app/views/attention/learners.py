@@ -50,23 +50,23 @@ def draw(scope: Scope) -> None:
     store = session.links().store
     online = [run for run in scope.runs if run.env != ROAD]
     kept = [run for run in online if buffer.has_rows(run)]
-    weighed = weighings.weighed(store)
+    weighed = weighings.weighed_run_ids(store)
     left, right = st.columns([1, 1], vertical_alignment="bottom")
     run = in_buffer.choose(
         scope, lambda: right, kept.__contains__,
-        lambda run: (run.run_id not in weighed, *widgets.telling(run)),
+        lambda run: (run.run_id not in weighed, *widgets.interest_key(run)),
     )  # fmt: skip
     rows = 0 if run is None else buffer.length(run)
     if run is None:
-        if not widgets.left_out_of_all(online, "buffer"):
+        if not widgets.show_left_out_of_all(online, "buffer"):
             st.info("No run of a MuJoCo task has collected transitions here yet.")
     elif not rows:
         st.warning("This replay buffer cannot be read.")
         return
     else:
-        found = {one.name: one for one in weighings.every(run, rows)}
+        found = {one.name: one for one in weighings.all_of_run(run, rows)}
         if found:
-            shown = weighings.called([*found.values()])
+            shown = weighings.titles([*found.values()])
             chosen = address.choose_one(
                 left.selectbox, "Weighed", list(found), "weighed", next(iter(found)),
                 shown.__getitem__,
@@ -79,14 +79,16 @@ def draw(scope: Scope) -> None:
         if isinstance(run, Dataset):  # pages do not look for the user's files
             with st.expander("Weigh this data", icon=":material/scale:"):
                 st.caption("No run collected it: weigh it in a terminal, where it lies by now:")
-                st.code(form.shown(run.words(store)), language="bash", wrap_lines=True)
+                st.code(
+                    form.command_line(run.weigh_arguments(store)), language="bash", wrap_lines=True
+                )
                 st.caption("It was last weighed by:")
                 st.code(run.command, language="bash", wrap_lines=True)
         else:
             _weigh(run, kept, expanded=not found)
     with st.expander("Data and policies of your own", icon=":material/upload_file:"):
         words = ["weigh", "DATA", "--policy", "POLICY", "--env", "ENV", "--store", store]
-        st.code(form.shown(words), language="bash")
+        st.code(form.command_line(words), language="bash")
         st.caption(f"DATA: a run (id or folder), {FORMATS}, oldest transition first.")
         st.caption(f"POLICY: {POLICIES}.")
         st.caption(f"ENV: {', '.join(ENVS)}, {ANY}. A run and its policy know theirs.")
@@ -174,7 +176,7 @@ def _weigh(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None
     """A form that starts `tom weigh` on this buffer, all of it or its state at a fit."""
     with st.expander("Weigh this buffer", icon=":material/scale:", expanded=expanded):
         row = st.columns([2, 4, 4, 2, 2])
-        widgets.left_out(run, "policies")
+        widgets.show_left_out(run, "policies")
         at = address.choose_one(
             row[0].selectbox, "As it was at step", [END, *run.policy_steps()], "at", END,
             lambda step: str(step) if step == END else f"{step:,}",
@@ -189,7 +191,7 @@ def _weigh(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None
         )
         usable = [name for name in LEARNERS if run.keeps_behaviour() or not follows_behaviour(name)]
         with row[2]:
-            learners = address.many(
+            learners = address.multiselect(
                 "Learners", usable, list(WEIGHED_FIRST), key="weigh learners",
                 format_func=learner_label,
             )  # fmt: skip
@@ -208,7 +210,7 @@ def _weigh(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None
             "--learner", *learners, "--seeds", *map(str, range(seeds)), "--preset", preset,
             "--store", session.links().store,
         ]  # fmt: skip
-        st.code(form.shown(words), language="bash", wrap_lines=True)
+        st.code(form.command_line(words), language="bash", wrap_lines=True)
         job = f"Weighing {run.run_id}"
         if why := session.read_only_reason():
             st.caption(why)
@@ -219,6 +221,6 @@ def _weigh(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None
         if len(usable) < len(LEARNERS):
             lacking = ", ".join(learner_label(name) for name in LEARNERS if name not in usable)
             st.caption(f"{lacking}: this run does not say which policies drew its actions.")
-        if run.run_id not in policies and not widgets.left_out(run, "policy"):
+        if run.run_id not in policies and not widgets.show_left_out(run, "policy"):
             st.caption("This run holds no policy of its own: it is written when a run has ended.")
     jobs.show(job)

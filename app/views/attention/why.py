@@ -65,7 +65,7 @@ def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None
         numbers = {
             "weight": number(float(rows.weight[row]), 3),
             "heavier than": percent(float((rows.weight < rows.weight[row]).mean())),
-            "its step in its episode": f"{rows.place[row] + 1:,}",
+            "its step in its episode": f"{rows.episode_step[row] + 1:,}",
             "return of that episode": score(float(rows.episode_return[row])),
             "ends the episode": "yes" if rows.rows.numpy().ended()[row] else "no",
         }
@@ -88,7 +88,7 @@ def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None
                 cut = " The sum lies below the cut, so the weight is zero." if raw == 0 else ""
                 said = (
                     f"{short(summed.weight)} = {formula}{cut} Divergence {config.divergence}, flow "
-                    f"{FLOWS[config.flow]}; g = {g:g}. Terms of {found.whose}."
+                    f"{FLOWS[config.flow]}; g = {g:g}. Terms of {found.origin}."
                 )
                 st.caption(text.markdown(said))
             with right:
@@ -116,13 +116,13 @@ def _pick(rows: Rows) -> None:
         for name, row in suggested.items():
             at = rows.first + int(row or 0)
             st.button(name, key=f"why {name}", disabled=row is None, on_click=pick, args=(at,))
-    address.keep(KEY, [] if chosen is None else [str(chosen)])
+    address.write(KEY, [] if chosen is None else [str(chosen)])
 
 
 def _neighbours(run: RunReader, rows: Rows, found: Why, row: int) -> None:
     near = reasons.neighbours(rows, found, row)
     st.markdown("**Its nearest of the policy's own transitions**")
-    names, actions = buffer.named(run)
+    names, actions = buffer.obs_and_action_names(run)
     obs, action = np.asarray(near.rows.obs), np.asarray(near.rows.action)
     own = np.concatenate([np.asarray(rows.rows.obs)[row], np.asarray(rows.rows.action)[row]])
     table = pd.DataFrame({"": [*names, *actions], "this one": own})
@@ -157,7 +157,7 @@ def _rollouts(run: RunReader, rows: Rows, row: int) -> None:
         st.caption(f"No rollouts: {text.markdown(rollouts)}.")
         return
     paths = rollouts.paths
-    names, _ = buffer.named(run)
+    names, _ = buffer.obs_and_action_names(run)
     moved = paths[:, 1].std(0) / np.maximum(np.asarray(rows.rows.obs).std(0), 1e-9)
     first = int(np.nan_to_num(moved).argmax())
     name = st.selectbox("Dimension", names, index=first, key="why dimension")
@@ -254,7 +254,9 @@ def _start(job: str, run: RunReader, source: Source, mask: Mask) -> None:
 def _brushed(run: RunReader, brushed: Brushed) -> None:
     left, right = st.columns([1, 1])
     with left:
-        st.markdown(f"**{brushed.rows:,} of {brushed.of:,} transitions, step {brushed.step:,}**")
+        st.markdown(
+            f"**{brushed.rows:,} of {brushed.buffer_rows:,} transitions, step {brushed.step:,}**"
+        )
         figure = error_bars(brushed, BRUSH_HEIGHT, session.mode())
         chart(figure, "brush errors", "errors of brushed models by region")
         st.caption(in_words(brushed))
@@ -268,7 +270,7 @@ def _brushed(run: RunReader, brushed: Brushed) -> None:
             format_func=factor_in_words,
         )  # fmt: skip
         factor = kept[0] if factor not in kept else factor
-        known, model = buffer.described_task(run), scene_of(run)
+        known, model = buffer.find_task(run), scene_of(run)
         if known is None or model is None:
             st.caption("No ghosts: there is no robot to draw.")
             return

@@ -8,7 +8,7 @@ import numpy as np
 import streamlit as st
 
 from app.data import readers
-from app.data.cache import made_once
+from app.data.cache import get_or_make
 from app.figures.curves import Axes
 from app.parts import address
 from app.parts.plot import Part, View
@@ -90,14 +90,14 @@ def grouped(
         advancing = all((np.diff(one.step) > 0).all() for one in curves)
         return curves, groups(curves, statistic, band) if advancing else []
 
-    return made_once(("groups", held(runs, kinds), metric, x, statistic, band), None, make)
+    return get_or_make(("groups", held(runs, kinds), metric, x, statistic, band), None, make)
 
 
 def held(runs: Sequence[RunReader], kinds: Mapping[str, Kind]) -> tuple[object, ...]:
     """What the curves and groups of runs depend on, for the key of a cache."""
     return tuple(
         (run.path, run.status.total, run.version("metrics"),
-         readers.weighed(run).version("metrics"), kinds[run.run_id])
+         readers.first_weight_reader(run).version("metrics"), kinds[run.run_id])
         for run in runs
     )  # fmt: skip
 
@@ -129,7 +129,7 @@ def zoom(measured: object) -> dict[str, Part]:
     `measured` and is dropped when that changes.
     """
     seen = address.value_of(ZOOM, zoom_of, measured)
-    address.keep(ZOOM, [f"{name}~{low:.5g}~{high:.5g}" for name, (low, high) in seen.items()])
+    address.write(ZOOM, [f"{name}~{low:.5g}~{high:.5g}" for name, (low, high) in seen.items()])
     return seen
 
 

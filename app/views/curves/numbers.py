@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app import text
 from app.data.tables import default_level, reached
-from app.figures.curves import Look
+from app.figures.curves import Style
 from app.figures.statistics import Profile, improvement, profiles
 from app.parts import address
 from app.parts.plot import chart
@@ -72,7 +72,7 @@ def draw(scope: Scope) -> None:
         help="sample efficiency: the first recorded step at which a run is at this value",
     )  # fmt: skip
     _remarks(scope, every, grouped, until, since if score == HEIGHT else None)
-    looks = [scope.looks[group.kind] for group in grouped]
+    looks = [scope.styles[group.kind] for group in grouped]
     names = [look.title for look in looks]
     keep = " ".join([env, metric, *(curve.run_id for group in grouped for curve in group.curves)])
     _profiles(looks, scores, score, keep)
@@ -106,13 +106,13 @@ def _remarks(
         words.append(f"There {text.markdown(ends[0][1])} ends; without it they would go on.")
     if since is not None:
         words.append(f"Heights are those from step {since:,.0f}, which every run has.")
-    late = [text.markdown(scope.looks[g.kind].title) for g in every if g not in grouped]
+    late = [text.markdown(scope.styles[g.kind].title) for g in every if g not in grouped]
     if late:
         words.append(f"Left out, as nothing was recorded until then: {', '.join(late)}.")
     st.caption(" ".join(words))
 
 
-def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str, keep: str) -> None:
+def _profiles(looks: Sequence[Style], scores: Sequence[NDArray], score: str, keep: str) -> None:
     everything = np.concatenate(scores)
     margin = 0.05 * (np.ptp(everything) or 1.0)
     ends = everything.min() - margin, everything.max() + margin
@@ -140,7 +140,7 @@ def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str, keep
     st.dataframe(pd.DataFrame(rows), hide_index=True, column_config={"iqm": "IQM"}, alt=score)
 
 
-def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) -> None:
+def _improvement(looks: Sequence[Style], scores: Sequence[NDArray], keep: str) -> None:
     """Who beats whom."""
     both = list(combinations(range(len(looks)), 2))
     if not both:

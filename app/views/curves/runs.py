@@ -8,7 +8,7 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers, tables
-from app.data.run_names import told_apart
+from app.data.run_names import distinct_names
 from app.parts import address
 from app.parts.scope import Scope, toggle
 from app.theme import learner_label
@@ -52,7 +52,7 @@ def draw(scope: Scope) -> None:
         st.caption(why)
         return
     # By their ids: a choice would be lost whenever a new name changed its words.
-    picked = address.many(
+    picked = address.multiselect(
         "Runs to label or to move to the trash", [run.run_id for run in runs], key="labelled",
         placeholder="none",
     )  # fmt: skip
@@ -71,7 +71,9 @@ def draw(scope: Scope) -> None:
                 _try(lambda: manage.trash(store, *picked), "Moved to the trash")
     if there := readers.trashed(store.path):
         with st.expander(f"{len(there)} in the trash"):
-            back = address.many("Runs to bring back", there, key="restored", placeholder="none")
+            back = address.multiselect(
+                "Runs to bring back", there, key="restored", placeholder="none"
+            )
             if st.button("Bring back", icon=":material/restore_from_trash:", disabled=not back):
                 _try(lambda: manage.restore(store, *back), "Brought back")
 
@@ -109,7 +111,7 @@ def _label(store: Store, chosen: Sequence[RunReader]) -> None:
             note = st.text_area("Note", one.labels.note, max_chars=NOTE_LENGTH)
         held = list(dict.fromkeys(tag for run in chosen for tag in run.labels.tags))
         shared = [tag for tag in held if all(tag in run.labels.tags for run in chosen)]
-        tags = address.many(
+        tags = address.multiselect(
             "Tags" if one else f"Tags of these {len(chosen)} runs", held, shared,
             accept_new_options=True, placeholder="type a tag and press Enter",
             help=None if one else "those that all of them have; other tags of each run stay",
@@ -140,7 +142,7 @@ def _try(act: Callable[[], object], done: str) -> None:
 def settings(shown: Sequence[RunReader]) -> None:
     """The settings that differ, one column per run; those unlike the first run's are marked."""
     some = shown[:MOST_COLUMNS]
-    table = tables.settings(some, told_apart(some, by_user=True).values())
+    table = tables.settings(some, distinct_names(some, by_user=True).values())
     if table.empty:
         st.info("These runs have the same settings." if len(shown) > 1 else "One run alone.")
         return

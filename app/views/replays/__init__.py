@@ -6,9 +6,9 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers
-from app.data.cache import made_once
+from app.data.cache import get_or_make
 from app.data.replays import DEFAULT_HORIZON
-from app.data.run_names import names, told_apart
+from app.data.run_names import distinct_names, full_names
 from app.figures.weights import over_fits
 from app.parts import address, timeline, widgets
 from app.parts.plot import chart
@@ -33,19 +33,21 @@ def page(scope: Scope) -> None:
 
 
 def _recording(scope: Scope) -> None:
-    run = scope.one(lambda run: run.status.alive or bool(readers.recordings(run)), lambda run: 0)
+    run = scope.choose_run(
+        lambda run: run.status.alive or bool(readers.recordings(run)), lambda run: 0
+    )
     if run is None:
         st.info("No run here has a Rerun recording; `tom runs export RUN --format rrd` makes one.")
         return
-    called = text.markdown(names(scope.runs)[run.run_id])
+    called = text.markdown(full_names(scope.runs)[run.run_id])
     st.caption(f"Everything that {called} has recorded, in Rerun's viewer.")
-    widgets.rerun(run, RERUN_HEIGHT)
+    widgets.show_rerun(run, RERUN_HEIGHT)
 
 
 def _side(scope: Scope) -> None:
     """Two to four runs: returns and weights on linked axes, replays at one step."""
     runs = scope.shown
-    called = names(runs)
+    called = full_names(runs)
     of_task = [run for run in runs if run.env == runs[0].env]
     with_replays_first = sorted(of_task, key=lambda run: not run.evaluation_steps())
     of_group = {scope.title(run): run.run_id for run in reversed(with_replays_first)}
@@ -59,12 +61,12 @@ def _side(scope: Scope) -> None:
     if len(chosen) < 2:
         st.info("Pick two runs or more.", icon=":material/splitscreen_vertical_add:")
         return
-    called = told_apart(chosen)
+    called = distinct_names(chosen)
     parts = [
         (
             called[run.run_id],
             widgets.curve(run, "eval/return"),
-            readers.profiles(readers.weighed(run)),
+            readers.profiles(readers.first_weight_reader(run)),
         )
         for run in chosen
     ]
@@ -78,9 +80,9 @@ def _side(scope: Scope) -> None:
     evaluated = {run.run_id: run.evaluation_steps() for run in chosen}
     steps = sorted({step for of_run in evaluated.values() for step in of_run})
     if not steps:
-        widgets.left_out_of_all(chosen, EVALUATIONS)
+        widgets.show_left_out_of_all(chosen, EVALUATIONS)
         return
-    step = timeline.chosen(steps)
+    step = timeline.chosen_step(steps)
     timeline.draw([], steps, step)
     played = st.session_state.setdefault("side played", 0)
     with st.container(horizontal=True, vertical_alignment="center"):
@@ -108,12 +110,12 @@ def _replay(
     st.caption(f"{text.markdown(called)}, {words}")
     if before:
         choice = ReplayChoice(run.run_id, before[-1], 0, 0, DEFAULT_HORIZON, played, "start")
-        widgets.stage(choice, SIDE_HEIGHT, part, compact=True)
+        widgets.show_scene(choice, SIDE_HEIGHT, part, compact=True)
 
 
 def _film(scope: Scope) -> None:
     """A run's whole story in a minute on one timeline, on the page and as a file."""
-    run = scope.one(may_be_told, widgets.telling)
+    run = scope.choose_run(may_be_told, widgets.interest_key)
     if run is None:
         st.info("No run here has a story yet: it needs two model fits and its buffer (MuJoCo).")
         return
@@ -124,9 +126,9 @@ def _film(scope: Scope) -> None:
     try:
         with st.spinner("The story is told to the film..."):
             version = run.version("metrics"), run.name  # the film has the name as its title
-            told = made_once(("story", run.path), version, lambda: story(run))
+            told = get_or_make(("story", run.path), version, lambda: story(run))
     except UserError as error:
-        widgets.left_out(run, "buffer")
+        widgets.show_left_out(run, "buffer")
         st.warning(text.markdown(error))
         return
     film = cinema(told, run.learner, session.mode(), LENGTHS[chosen])
@@ -142,4 +144,4 @@ def _film(scope: Scope) -> None:
         "plays and stops, arrows go a second. The MP4 button needs a browser that encodes: on this "
         "machine, or by https; `tom studio --cinema` writes one too."
     )
-    widgets.left_out(run, "other evaluations")
+    widgets.show_left_out(run, "other evaluations")

@@ -9,7 +9,7 @@ import streamlit as st
 from app import session, text
 from app.data import readers, replays
 from app.data.replays import DEFAULT_HORIZON, HORIZONS, Replay
-from app.data.run_names import names
+from app.data.run_names import full_names
 from app.figures.replay import episode_curves, observed_curves, return_curve
 from app.parts import address, timeline, widgets
 from app.parts.plot import Point, chart
@@ -36,21 +36,21 @@ CHOSEN = "another episode was chosen"
 
 def draw(scope: Scope) -> None:
     """A run, an evaluation, an episode; the robot, its return and its reward."""
-    run = scope.one(lambda run: bool(run.evaluation_steps()), widgets.telling)
-    scope.say_missing(run, "evaluations")
+    run = scope.choose_run(lambda run: bool(run.evaluation_steps()), widgets.interest_key)
+    scope.show_missing(run, "evaluations")
     if run is None:
-        if not widgets.left_out_of_all(scope.runs, widgets.EVALUATIONS):
+        if not widgets.show_left_out_of_all(scope.runs, widgets.EVALUATIONS):
             st.info("No run here has been evaluated yet: its episodes are recorded then.")
         return
     steps, fits = run.evaluation_steps(), readers.profiles(run).env_step.tolist()
-    asked = timeline.chosen(sorted({*fits, *steps}))
+    asked = timeline.chosen_step(sorted({*fits, *steps}))
     step = at_or_before(steps, asked)
     timeline.draw(fits, steps, asked)
     returns = readers.returns(run, step)
     if not len(returns):
         st.warning("The episodes of this evaluation cannot be read.")
         return
-    called = text.markdown(names(scope.runs)[run.run_id])
+    called = text.markdown(full_names(scope.runs)[run.run_id])
     top = st.columns([6, 3, 3], vertical_alignment="bottom")
     top[0].header(f"{called}, evaluated at step {step:,}", anchor=False)
     options = list(range(1, len(returns) + 1))
@@ -78,8 +78,8 @@ def draw(scope: Scope) -> None:
     play = st.fragment(_play, run_every=TICK_S if moves else None)
     play(run, replay, returns, index, horizon, moves=moves)
     if not moves:
-        widgets.when_changed(position, LISTEN_S)
-    widgets.left_out(run, "other evaluations", "other episodes")
+        widgets.redraw_when_changed(position, LISTEN_S)
+    widgets.show_left_out(run, "other evaluations", "other episodes")
     widgets.show_problems(run)
 
 
@@ -101,7 +101,7 @@ def _numbers(replay: Replay) -> None:
     widgets.metrics(numbers, helps)
     if replay.model_step is None:
         words = f"No ghost: {text.markdown(replay.no_ghost)}."
-    elif replay.ghost is None and replay.drawn:
+    elif replay.ghost is None and replay.has_scene:
         words = (
             "No ghost: what this task observes does not hold its joints; what the model "
             f"imagined, of step {replay.model_step:,}, is compared beside."
@@ -113,9 +113,9 @@ def _numbers(replay: Replay) -> None:
             else f"the model that the run kept, of step {replay.model_step:,}: not the model of "
             f"step {replay.step:,}."
         )
-        if replay.drawn and not replay.road:
+        if replay.has_scene and not replay.road:
             words += " Its place on the ground is integrated from its velocity."
-    st.caption(text.linked(words))
+    st.caption(text.with_glossary_links(words))
 
 
 def _play(
@@ -133,8 +133,8 @@ def _play(
         viewer = address.choose_part([VISER, RERUN], "viewer", "Viewer")
         if viewer == RERUN:
             name = f"episode-{replay.step}-{index}-{horizon}.rrd"
-            widgets.rerun(run, STAGE_HEIGHT, name)
-        elif replay.drawn:
+            widgets.show_rerun(run, STAGE_HEIGHT, name)
+        elif replay.has_scene:
             asked, wish, at = st.session_state.get(ASKED, NOTHING)
             state = st.session_state
             choice = ReplayChoice(
@@ -143,7 +143,7 @@ def _play(
                 ghost=bool(state.get("replay ghost", True)),
                 follow=bool(state.get("replay follows", True)),
             )  # fmt: skip
-            widgets.stage(choice, STAGE_HEIGHT, PART, compact=True)
+            widgets.show_scene(choice, STAGE_HEIGHT, PART, compact=True)
             _controls(replay, playing=playing)
         else:
             with st.container(border=True):
@@ -200,7 +200,7 @@ def _marked(replay: Replay, *, playing: bool) -> int:
         frame = 0
     if frame != before:
         go_to(frame)
-    address.keep(FRAME, [str(frame)] if frame and not playing else [])
+    address.write(FRAME, [str(frame)] if frame and not playing else [])
     return frame
 
 

@@ -245,8 +245,8 @@ def test_every_fit_is_a_point_in_its_learners_colour() -> None:
 def test_fits_that_are_left_out_are_said_and_names_from_files_are_words() -> None:
     (said,) = notes(footprint_error_return([TOM, MLE], 300))
     assert "2 of 6" in said
-    assert notes(footprint_error_return([TOM.at(TOM.telling)], 300)) == []
-    figure = footprint_error_return([TOM.at(np.zeros(2 * FITS, np.int64))], 300)
+    assert notes(footprint_error_return([TOM.subset(TOM.informative)], 300)) == []
+    figure = footprint_error_return([TOM.subset(np.zeros(2 * FITS, np.int64))], 300)
     assert len(points(figure, "tom")[1]["x"]) == FITS
     assert "1,500 of 3,000" in notes(figure)[0]
     named = replace(TOM, run_id="<img src=x>", group="<b>x")

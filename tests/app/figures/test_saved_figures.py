@@ -16,7 +16,7 @@ from matplotlib.markers import MarkerStyle
 from PIL import Image
 
 from app import theme
-from app.figures.curves import GAP, Axes, group_curves, label_ends, looks_of, moved_apart
+from app.figures.curves import GAP, Axes, group_curves, label_ends, moved_apart, styles_of
 from app.figures.paper import KINDS, SYMBOLS, WIDTHS, paper_figure
 from tom.analysis.curves import Curve, Group, aggregate
 
@@ -34,7 +34,7 @@ def group(learner: str, end: float, runs: int = 3, lowest: float = 0.0) -> Group
 
 
 def labelled(groups: list[Group], axes: Axes = Axes()) -> go.Figure:  # noqa: B008 (it is frozen)
-    looks = looks_of((one.env, one.kind) for one in groups)
+    looks = styles_of((one.env, one.kind) for one in groups)
     figure = group_curves(groups, "eval/return", 300, singles=False, axes=axes, looks=looks)
     return label_ends(figure, groups, looks, axes)
 
@@ -62,7 +62,7 @@ def test_a_line_is_named_at_its_end_with_its_runs_in_its_colour() -> None:
     names = "TOM (3)", "MLE, &lt;img src=x&gt; (1)"
     for label, one, words in zip(labels(figure), groups, names, strict=True):
         assert label["text"].endswith(words)
-        assert looks_of([(one.env, one.kind)])[one.kind].colour in label["text"]
+        assert styles_of([(one.env, one.kind)])[one.kind].colour in label["text"]
         assert label["y"] == pytest.approx(one.mean[-1])  # far from the other
 
 
@@ -123,7 +123,7 @@ def test_a_paper_s_figure_has_the_width_of_its_columns_and_the_page_s_words(widt
     assert Image.open(io.BytesIO(files["png"])).width == round(600 * inches)
     words = re.findall(r"<text[^>]*>([^<]+)</text>", svg)
     assert {"TOM (3)", "MLE (3)", "env steps", "Return", "20k"} <= {*words}
-    for look in looks_of((one.env, one.kind) for one in GROUPS).values():
+    for look in styles_of((one.env, one.kind) for one in GROUPS).values():
         assert look.colour in svg.lower()
 
 

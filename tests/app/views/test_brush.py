@@ -72,7 +72,7 @@ def test_a_brush_is_not_shown_as_several_learners_on_the_buffer(brushed: Path) -
     run = info(brushed, PENDULUM_TOM)
     assert weighings.of_run(run, 400) == []
     assert [one.name for one in weighings.of_run(run, 400, brush=True)] == ["made"]
-    assert weighings.weighed(str(brushed)) == set()
+    assert weighings.weighed_run_ids(str(brushed)) == set()
     app = draw("attention", part="Every learner on one buffer", run=PENDULUM_TOM, weighed="made")
     assert not figures(app)
 

@@ -17,7 +17,7 @@ from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 from app.data.tables import default_level
 from app.figures import statistics
-from app.figures.curves import Look
+from app.figures.curves import Style
 from app.figures.statistics import Profile
 from app.links import Links
 from app.parts import shortlinks
@@ -39,7 +39,7 @@ PENDULUM = "inverted-pendulum"
 PENDULUM_MLE = "pendulum-mle-0"
 SEEDS = (PENDULUM_TOM, "pendulum-tom-1")
 BOTH, ALONE = "TOM (n = 2)", "TOM (1 seed, no band)"
-LOOKS = tuple(Look(name.upper(), learner_colour(name), "solid", "o") for name in ("tom", "mle"))
+LOOKS = tuple(Style(name.upper(), learner_colour(name), "solid", "o") for name in ("tom", "mle"))
 
 
 def curves(part: str = "Curves", task: str = PENDULUM, **query: str | list[str]) -> AppTest:

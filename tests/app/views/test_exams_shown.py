@@ -153,7 +153,7 @@ def test_the_verdict_names_who_errs_least_and_by_how_much() -> None:
 )
 def test_the_verdict_ranks_nobody_within_the_noise(mle: list[float], tom: list[float]) -> None:
     result = ranking(learners({"MLE": mle, "TOM": tom}))
-    assert result.chance > 0.05
+    assert result.p_value > 0.05
     assert "errs least" not in verdict(result)
 
 

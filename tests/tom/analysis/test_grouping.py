@@ -13,10 +13,10 @@ from tom.analysis.settings import (
     Kind,
     choices,
     differences,
+    distinguishing_presets,
     kinds_of,
     natural,
     number,
-    telling_presets,
     variants,
 )
 from tom.learners import LEARNERS, LearnerEntry
@@ -136,7 +136,7 @@ def test_a_preset_is_told_where_its_learner_has_several() -> None:
         Run("c", {}, learner="mle"),
         Run("d", {}, env="hopper"),
     ]
-    assert telling_presets(runs) == ["paper", "mended", "", ""]
+    assert distinguishing_presets(runs) == ["paper", "mended", "", ""]
 
 
 def test_a_new_learners_settings_set_its_own_runs_apart(
