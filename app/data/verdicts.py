@@ -352,7 +352,7 @@ def word_of(sides: Sequence[int]) -> str:
 
 
 def _point(line: str, series: str, row: Row, column: str) -> Point:
-    """The point of a row's way, which stands at the column `of`."""
+    """The point of a row's way, at the value in `column`."""
     ends = row.get("low", nan), row.get("high", nan)
     colour = learner_colour(WAYS[row["way"]].learner or "")
     return Point(line, series, colour, symbol(row["way"]), row[column], *ends)

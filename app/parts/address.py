@@ -4,7 +4,7 @@ Streamlit's own `bind="query-params"` replaces the address in place, so Back wou
 An address that the server writes to `st.query_params` is a new entry of the history, except when
 Back itself caused the drawing (and one act of the visitor is one entry: app/servers/pages.py). So a
 page reads its choices here (`value_of`, or a widget of this module), each with the words that the
-address has for it (`keep`). The address counts for what this session has no choice of.
+address has for it (`write`). The address counts for what this session has no choice of.
 
 The choices of `SHARED` belong to all pages: they last when the user goes to another page.
 """
@@ -59,7 +59,7 @@ def shared() -> dict[str, list[str]]:
 def value_of(key: str, read: Callable[[list[str]], T], owner: object = None) -> T:
     """A choice's value: the session's, else read from the address.
 
-    It is that of no words when `of`, what it belongs to, is something else than it was.
+    It starts anew when its `owner`, what it belongs to, has changed.
     """
     state = st.session_state
     state.setdefault(_READ, set()).add(key)
@@ -148,7 +148,7 @@ def number_input(
     owner: object,
     **more: Any,
 ) -> float:
-    """The number that the user has chosen, until `of`, what it belongs to, is something else."""
+    """The number that the user has chosen, until its `owner`, what it belongs to, changes."""
 
     def read(given: list[str]) -> float:
         try:

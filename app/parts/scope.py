@@ -213,7 +213,7 @@ def _runs_of_task(everything: Sequence[RunReader], asked: str) -> list[RunReader
 
 
 def matching(runs: Sequence[RunReader], pattern: str) -> list[RunReader]:
-    """The runs whose name or id contains a match of the regular expression `words`.
+    """The runs whose name or id contains a match of the regular expression `pattern`.
 
     If it is malformed, all runs are returned and the page says why. The expression may come from a
     link, so it is matched in time linear in the names, unlike by Python's `re`.
@@ -232,20 +232,20 @@ def matching(runs: Sequence[RunReader], pattern: str) -> list[RunReader]:
 
 def _scope(runs: Sequence[RunReader], by: str) -> Scope:
     kinds = kinds_of(runs, by)
-    look_of = styles_of([(run.env, kinds[run.run_id]) for run in runs], by, session.mode())
-    there = {run.run_id for run in runs} | {look.title for look in look_of.values()}
+    styles = styles_of([(run.env, kinds[run.run_id]) for run in runs], by, session.mode())
+    there = {run.run_id for run in runs} | {style.title for style in styles.values()}
     rank = {kinds[run.run_id]: _rank(run, kinds[run.run_id]) for run in runs}
     own = {kinds[run.run_id] for run in runs if not run.small_copy}
     main = sorted(own or rank, key=lambda kind: rank[kind])[:LINES]
     # Folded: the groups beyond the first, and examples beside runs of one's own.
-    folded = {look.title for kind, look in look_of.items() if kind not in main}
+    folded = {style.title for kind, style in styles.items() if kind not in main}
     hide, show = (address.get_all(key, there.__contains__) for key in ("hide", "show"))
     hidden = folded.difference(show) | set(hide)
-    order = sorted(look_of, key=lambda kind: rank[kind])
+    order = sorted(styles, key=lambda kind: rank[kind])
     return Scope(
-        tuple(runs), by, kinds, look_of, frozenset(hidden), frozenset(folded),
+        tuple(runs), by, kinds, styles, frozenset(hidden), frozenset(folded),
         address.get("run"),
-        tuple(look_of[kind].title for kind in order),
+        tuple(styles[kind].title for kind in order),
     )  # fmt: skip
 
 
@@ -265,7 +265,7 @@ def _draw_list(scope: Scope) -> None:
     for run in scope.cut_short:
         called[run.run_id] += f", ended at {run.status.env_step:,}: left out"
 
-    def group(look: Style, runs: Sequence[RunReader]) -> dict[str, object]:
+    def group(style: Style, runs: Sequence[RunReader]) -> dict[str, object]:
         items = [
             {
                 "run_id": run.run_id, "name": called[run.run_id], "state": run.shown,
@@ -275,11 +275,11 @@ def _draw_list(scope: Scope) -> None:
             for run in sorted(runs, key=lambda run: (run.env, run.seed))
         ]  # fmt: skip
         return {
-            "title": look.title, "colour": look.colour, "core": look.core, "runs": items,
-            "hidden": look.title in scope.hidden, "folded": look.title in scope.folded,
+            "title": style.title, "colour": style.colour, "core": style.core, "runs": items,
+            "hidden": style.title in scope.hidden, "folded": style.title in scope.folded,
         }  # fmt: skip
 
-    looks = {look.title: look for look in scope.styles.values()}
+    styles = {style.title: style for style in scope.styles.values()}
     sections = []
     for title, example in (("Your runs", False), ("Examples", True)):
         of_section = [run for run in scope.runs if run.small_copy == example]
@@ -287,7 +287,7 @@ def _draw_list(scope: Scope) -> None:
         for run in of_section:
             if run.run_id in named:
                 listed[scope.title(run)].append(run)
-        groups = [group(looks[name], runs) for name, runs in listed.items() if runs]
+        groups = [group(styles[name], runs) for name, runs in listed.items() if runs]
         groups.sort(key=lambda group: bool(group["folded"]))
         left = sum(run.run_id not in named for run in of_section)
         more = f"{left:,} more runs: search or filter" if left else ""

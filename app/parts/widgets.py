@@ -9,7 +9,7 @@ from app import session, text
 from app.data import readers
 from app.links import LIVE
 from app.parts import address
-from app.scenes.control import Choice, Selection, tell
+from app.scenes.control import Choice, Selection, send_selection
 from tom.analysis.curves import Curve, curve_points
 from tom.learners import LEARNERS, SUBJECT
 from tom.record.reader import RunReader
@@ -135,7 +135,9 @@ def show_scene(choice: Choice, height: int, part: str = "", *, compact: bool = F
         return
     client = f"{session.client()}{part}"
     try:
-        tell(str(links.file("control")), client, Selection(choice, session.mode(), compact))
+        send_selection(
+            str(links.file("control")), client, Selection(choice, session.mode(), compact)
+        )
     except OSError:
         last_line = links.file("scenes.log").read_text(errors="replace").strip().rpartition("\n")[2]
         st.warning(

@@ -47,7 +47,7 @@ def page(scope: Scope) -> None:
     others = [name for name in QUESTIONS if name not in by_name]
     if others:
         with st.expander("Studies that have not been computed here", expanded=not listed):
-            _offer(others)
+            _offer_studies(others)
 
 
 def _cards(listed: Sequence[Study]) -> None:
@@ -56,10 +56,10 @@ def _cards(listed: Sequence[Study]) -> None:
     if both:
         with st.container(border=True):
             st.header(QUESTION, anchor=False)
-            study = _chosen([study for study in listed if study.name in both], "ways")
+            study = _choose_study([study for study in listed if study.name in both], "ways")
             found = both[study.name]
             label = "every way of weighing: distance to the policy, and its model's error"
-            with _judged(found):
+            with _draw_verdict(found):
                 chart(
                     two_axes(found.panels, 430, study.name), f"every way {study.name}", label,
                     caption=f"{QUESTION} {found.sentence} {found.caption}",
@@ -72,22 +72,22 @@ def _cards(listed: Sequence[Study]) -> None:
     for asked, of in alike.items():
         with grid, st.container(border=True, height="stretch"):
             head = st.container()
-            _card(_chosen(of, asked), head)
+            _card(_choose_study(of, asked), head)
 
 
-def _chosen(alike: Sequence[Study], key: str) -> Study:
+def _choose_study(candidates: Sequence[Study], key: str) -> Study:
     """The study that the user has chosen of those that answer one question."""
-    if len(alike) == 1:
-        return alike[0]
-    by_name = {study.name: study for study in alike}
+    if len(candidates) == 1:
+        return candidates[0]
+    by_name = {study.name: study for study in candidates}
     name = address.choose_one(
-        st.selectbox, "Measured on", [*by_name], key, alike[0].name,
+        st.selectbox, "Measured on", [*by_name], key, candidates[0].name,
         lambda name: by_name[name].distinction, width=400,
     )  # fmt: skip
     return by_name[name]
 
 
-def _judged(found: Verdict) -> DeltaGenerator:
+def _draw_verdict(found: Verdict) -> DeltaGenerator:
     """A verdict in a word and a sentence, a place for its figure, and what speaks against it."""
     st.markdown(f"### {SIGNS[found.word]} {found.word}")
     st.markdown(text.with_glossary_links(text.markdown(found.sentence)))
@@ -107,7 +107,7 @@ def _card(study: Study, head: DeltaGenerator) -> None:
     asked = question(study, found)
     head.header(text.markdown(asked or study.name), anchor=False)
     if found is not None:
-        place = _judged(found)
+        place = _draw_verdict(found)
     else:
         if study.findings:
             st.markdown(f"**{text.markdown(study.findings[0])}**")
@@ -170,7 +170,7 @@ def _whole(study: Study) -> None:
         with st.expander(f"{title}, {len(table):,} lines") if folded else st.container():
             if not folded:
                 st.markdown(title)
-            _lines(path.stem, table)
+            _draw_table(path.stem, table)
 
 
 def _command(study: Study, title: str) -> None:
@@ -179,7 +179,7 @@ def _command(study: Study, title: str) -> None:
             st.code(study.origin["command"], language="bash", wrap_lines=True)
 
 
-def _lines(name: str, table: pd.DataFrame) -> None:
+def _draw_table(name: str, table: pd.DataFrame) -> None:
     numbers = {
         column: st.column_config.NumberColumn(format="%.4g")
         for column in table.select_dtypes("floating").columns
@@ -188,7 +188,7 @@ def _lines(name: str, table: pd.DataFrame) -> None:
     st.dataframe(shown, hide_index=True, column_config=numbers, placeholder="-", alt=name)
 
 
-def _offer(names: Sequence[str]) -> None:
+def _offer_studies(names: Sequence[str]) -> None:
     """The commands of studies, and buttons that run them."""
     if why := session.read_only_reason():
         st.caption(why)

@@ -22,9 +22,9 @@ from app.theme import (
     learner_colour,
     learner_label,
     learner_symbol,
-    on_scale,
     ramp,
     rgb,
+    scale_colours,
 )
 from tom.analysis.settings import Kind
 from tom.learners import LEARNERS
@@ -79,7 +79,7 @@ def test_a_newcomer_in_the_registry_gets_a_spare_colour(monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize("mode", ["light", "dark"])
 def test_learners_groups_and_points_stand_out_from_the_page(mode: Mode) -> None:
-    along = on_scale(np.linspace(0, 1, 101), COLUMNS[mode])
+    along = scale_colours(np.linspace(0, 1, 101), COLUMNS[mode])
     points = ["#" + bytes(map(int, colour)).hex() for colour in along]
     variants = [Kind(learner, "", f"model.hidden {n}") for learner in LEARNERS for n in range(40)]
     shades = [look.colour for look in styles_of(("hopper", kind) for kind in variants).values()]

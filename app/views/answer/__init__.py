@@ -12,7 +12,7 @@ from app.data.answer import Answer, Side, newest_share
 from app.data.cache import get_or_make
 from app.data.exams import exams_of
 from app.data.run_names import task_title
-from app.figures.base import across, steps_in_words
+from app.figures.base import horizontal_line, step_axis_title
 from app.figures.curves import group_curves
 from app.figures.road import road_map
 from app.parts import address, start, widgets
@@ -63,10 +63,10 @@ def page(scope: Scope) -> None:
         other = address.choose_one(head[1].selectbox, "instead of", others, "other", usual)
         both[other] = groups[other]
     env = groups[one][0].env
-    asked = text.markdown(
+    heading = text.markdown(
         f"{task_title(env)}: does {one} look at the right data, and does that help?"
     )
-    st.header(asked, anchor=False)
+    st.header(heading, anchor=False)
     _cards(scope, both)
     if env != ROAD:  # which has no exams
         behind = st.expander("The numbers behind it", key="numbers behind", on_change="rerun")
@@ -103,7 +103,7 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
         for run in dict.fromkeys((loop, readers.first_weight_reader(loop)))
     )
     key = tuple(groups), session.mode(), frozenset((kind, scope.styles[kind]) for kind in kinds)
-    made = get_or_make(("cards", *key), version, lambda: _made(scope, groups))
+    made = get_or_make(("cards", *key), version, lambda: _make_cards(scope, groups))
     grid = st.container(horizontal=True, key="cards")
     mine = next(iter(groups.values()))
     cards = (ON_ROAD, *CARDS[1:]) if mine[0].env == ROAD else CARDS
@@ -121,9 +121,9 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
             widgets.link_to(link, f"See it on {link.capitalize()}", run=mine[0].run_id)
 
 
-def _made(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> list[Card]:
+def _make_cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> list[Card]:
     sides = [_side(title, runs) for title, runs in groups.items()]
-    measured = zip(CARDS, _measured(scope, groups, sides), strict=True)
+    measured = zip(CARDS, _chart_groups(scope, groups, sides), strict=True)
     drawn = [_chart(scope, what, level, lines) for (_, _, what, level), lines in measured]
     mine = next(iter(groups.values()))
     if mine[0].env == ROAD and not sides[0].uniform:
@@ -158,7 +158,7 @@ def _answers(sides: Sequence[Side], mine: Sequence[RunReader]) -> tuple[Answer, 
     return where, on_policy, helps
 
 
-def _measured(
+def _chart_groups(
     scope: Scope, groups: Mapping[str, Sequence[RunReader]], sides: Sequence[Side]
 ) -> list[list[Group]]:
     """The groups of the three charts: newest fifth, footprint, return."""
@@ -174,9 +174,9 @@ def _measured(
                 share = 100 * newest_share(profiles)
                 measured[0].append(replace(returns, step=profiles.env_step, value=share))
             if not side.uniform:
-                told = exams.subset(exams.informative & np.isfinite(exams.footprint))
-                left = 100 * told.footprint
-                measured[1].append(replace(returns, step=told.step, value=left))
+                informative = exams.subset(exams.informative & np.isfinite(exams.footprint))
+                left = 100 * informative.footprint
+                measured[1].append(replace(returns, step=informative.step, value=left))
     return [curves.groups(one) for one in measured]
 
 
@@ -184,14 +184,14 @@ def _chart(scope: Scope, what: str, level: float | None, groups: Sequence[Group]
     """The chart of a card, with a line at a level; None without anything to draw."""
     if not groups:
         return None
-    figure = group_curves(groups, what, HEIGHT, singles=True, looks=scope.styles)
+    figure = group_curves(groups, what, HEIGHT, singles=True, styles=scope.styles)
     figure.update_layout(showlegend=False, hovermode="closest")
     if level is not None:
-        figure.add_shape(across(level, 1.2, "dash"))
+        figure.add_shape(horizontal_line(level, 1.2, "dash"))
     named = ", ".join(f"{scope.styles[group.kind].title} (n = {group.n})" for group in groups)
     caption = (
-        f"{what.capitalize()}, against {steps_in_words(group.env for group in groups)}. Line: mean "
-        f"over seeds, band: 95 % bootstrap interval, thin lines: single runs. {named}."
+        f"{what.capitalize()}, against {step_axis_title(group.env for group in groups)}. Line: "
+        f"mean over seeds, band: 95 % bootstrap interval, thin lines: single runs. {named}."
     )
     return FigureJson.of(figure), caption
 

@@ -65,13 +65,13 @@ def draw(scope: Scope, env: str) -> None:
     """The exams of all runs of a task, and their models' errors on one buffer and on their own."""
     runs = [run for run in scope.runs if run.env == env]
     alone = [run for run in runs if run.learner == SAC_ALONE]
-    alike, others = of_like_length([run for run in runs if run not in alone])
+    alike, others = split_by_length([run for run in runs if run not in alone])
     lengths = dict.fromkeys(run.status.env_step for run in others)
     of_length = {
         f"of another length ({steps:,} steps)": [r for r in others if r.status.env_step == steps]
         for steps in lengths
     }
-    _left_out(runs, {**of_length, "it fits no model": alone})
+    _list_left_out(runs, {**of_length, "it fits no model": alone})
     _exams(alike)
     st.subheader("In sample: on rows that the models were fitted to", anchor=False)
     st.caption(
@@ -101,10 +101,10 @@ def _exams(runs: Sequence[RunReader]) -> None:
     )
     key = "exams", *(run.path for run in runs)
     exams, result = get_or_make(key, version, make)
-    sat = {one.run_id: result.ended_before(one) for one in exams}
-    without = [run for run in runs if run.run_id not in sat]
-    early = [run for run in runs if sat.get(run.run_id)]
-    _left_out(runs, {NO_EXAM: without, f"ended before step {result.until:,.0f}": early})
+    too_short = {one.run_id: result.ended_before(one) for one in exams}
+    without = [run for run in runs if run.run_id not in too_short]
+    early = [run for run in runs if too_short.get(run.run_id)]
+    _list_left_out(runs, {NO_EXAM: without, f"ended before step {result.until:,.0f}": early})
     if not exams:
         return
     st.markdown(text.with_glossary_links(text.unbroken(verdict(result))), help=WHAT)
@@ -190,7 +190,7 @@ def _on_one_buffer(run: RunReader, others: Sequence[RunReader]) -> None:
     """The errors on the buffer of `run` of its own stored model and of other runs' models."""
     kept = [other for other in others if buffer.has_model(other)]
     errors, beyond, names = [], list(kept), group_names(kept)
-    for other in in_turn(run, kept):
+    for other in alternating_groups(run, kept):
         error = buffer.errors_on(run, other)
         if error is not None:
             own = " (its own)" if other.run_id == run.run_id else ""
@@ -211,12 +211,12 @@ def _on_one_buffer(run: RunReader, others: Sequence[RunReader]) -> None:
         figure = errors_by_age(errors, BINS, 320, keep=run.run_id)
         chart(figure, "errors here", "model error against age")
         without = [other for other in others if other not in kept]
-        _left_out(
+        _list_left_out(
             others, {"no kept model": without, f"beyond {MODELS} models, or unreadable": beyond}
         )
 
 
-def in_turn(run: RunReader, others: Sequence[RunReader]) -> list[RunReader]:
+def alternating_groups(run: RunReader, others: Sequence[RunReader]) -> list[RunReader]:
     """The run itself, then the first run of each group, then their second runs, and so on."""
     seen, names = Counter[str](), group_names(others)
     turns = {}
@@ -226,7 +226,7 @@ def in_turn(run: RunReader, others: Sequence[RunReader]) -> list[RunReader]:
     return sorted(others, key=lambda other: turns[other.run_id])
 
 
-def of_like_length(runs: Sequence[RunReader]) -> tuple[list[RunReader], list[RunReader]]:
+def split_by_length(runs: Sequence[RunReader]) -> tuple[list[RunReader], list[RunReader]]:
     """The runs of about the usual length, and the others."""
     usual = float(np.median([run.status.env_step for run in runs] or [0]))
 
@@ -236,12 +236,12 @@ def of_like_length(runs: Sequence[RunReader]) -> tuple[list[RunReader], list[Run
     return [run for run in runs if is_like(run)], [run for run in runs if not is_like(run)]
 
 
-def _left_out(runs: Sequence[RunReader], left_out: Mapping[str, Sequence[RunReader]]) -> None:
+def _list_left_out(runs: Sequence[RunReader], left_out: Mapping[str, Sequence[RunReader]]) -> None:
     """Name the runs that are left out of `runs`, a line for each reason."""
-    called = distinct_names(runs, by_user=True)
+    names = distinct_names(runs, by_user=True)
     for reason, of in left_out.items():
         if of:
-            named = text.markdown("; ".join(called[run.run_id] for run in of))
+            named = text.markdown("; ".join(names[run.run_id] for run in of))
             if len(of) <= FEW_NAMED:
                 st.caption(f"Left out, {reason}: {named}.")
             else:

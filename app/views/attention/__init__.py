@@ -95,8 +95,8 @@ def page(scope: Scope) -> None:
     if fits:
         step = timeline.chosen_step(sorted({*fits, *evaluations}))
         fit = at_or_before(fits, step)
-        called = text.markdown(full_names(scope.runs)[run.run_id])
-        st.header(f"Which data {called} pays attention to", anchor=False)
+        name = text.markdown(full_names(scope.runs)[run.run_id])
+        st.header(f"Which data {name} pays attention to", anchor=False)
         above = st.container()
         in_buffer.draw(run, fit)  # first, because the browser takes longest for it
         with above:
@@ -104,11 +104,11 @@ def page(scope: Scope) -> None:
                 _road(scope, run, step)
             else:
                 _numbers(run, profiles)
-                _even(run, profiles, fits.index(fit))
+                _explain_even_weights(run, profiles, fits.index(fit))
                 _exam(run, fit)
                 _over_time(run, profiles, fit)
         if run.env != ROAD:
-            _elsewhere(run, step)
+            _links(run, step)
         timeline.draw(fits, evaluations, step)
     else:
         st.warning("The weight profiles of this run cannot be read.")
@@ -153,7 +153,7 @@ def _numbers(run: RunReader, profiles: Profiles) -> None:
     )  # fmt: skip
 
 
-def _even(run: RunReader, profiles: Profiles, chosen: int) -> None:
+def _explain_even_weights(run: RunReader, profiles: Profiles, chosen: int) -> None:
     """Say why the weights of a learner that weighs are all the same."""
     if widgets.has_uniform_learner(run) or profiles.ess[chosen] <= EVEN:
         return
@@ -175,7 +175,8 @@ def _exam(run: RunReader, fit: int) -> None:
         st.caption(
             text.markdown(
                 "This fit's exam is on the steps that its policy took next, which it had not seen. "
-                f"{about_weights(metrics)} {of_which_weights(run.learner, run.settings)}"
+                f"{footprint_sentence(metrics)} "
+                f"{difference_from_recorded(run.learner, run.settings)}"
             )
         )
     else:
@@ -185,7 +186,7 @@ def _exam(run: RunReader, fit: int) -> None:
         )
 
 
-def of_which_weights(learner: str, settings: Settings) -> str:
+def difference_from_recorded(learner: str, settings: Settings) -> str:
     """How the weights of an exam, the fit's, differ from those that were recorded; else empty."""
     share = float(settings.get("model.uniform_share", 0))
     if share == 1:
@@ -201,7 +202,7 @@ def of_which_weights(learner: str, settings: Settings) -> str:
     return f"The model was fitted, and is examined, with these weights {' and '.join(changes)}."
 
 
-def about_weights(metrics: Mapping[str, float]) -> str:
+def footprint_sentence(metrics: Mapping[str, float]) -> str:
     """Whether the weights moved the buffer closer to the policy's transitions, beyond noise."""
     uniform, footprint, noise = (
         metrics.get(f"exam/{name}")
@@ -237,12 +238,12 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
         st.markdown("**Every fit**: weight by age, newest on top, and the returns")
         mode, loop = session.mode(), readers.loop_reader(run)
 
-        def drawn() -> FigureJson:
+        def map_figure() -> FigureJson:
             returns = widgets.curve(loop, "eval/return")
             return FigureJson.of(over_fits([("", returns, profiles)], mode, HEIGHT))
 
         version = run.version("profiles"), loop.version("metrics")
-        figure = get_or_make(("weight map", run.path, mode), version, drawn)
+        figure = get_or_make(("weight map", run.path, mode), version, map_figure)
         label = "weight of each part of the buffer at every fit, and the returns below"
         to_fit = partial(_go_to, fits)
         chart(figure, "weight map", label, to_fit, follow=Follow(cursor=True), after=SELECTOR)
@@ -251,13 +252,13 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
     with right, st.container(border=True, height="stretch"):
         st.markdown("**This fit**; dashed: every transition counts the same")
 
-        def profile() -> FigureJson:
+        def profile_figure() -> FigureJson:
             top = float(np.nanmax(profiles.bins))  # of all fits, so that the axis stands still
             bins = profiles.bins[fits.index(fit)]
             figure = weight_profile(bins, run.learner, HEIGHT, top=top, keep=run.run_id)
             return FigureJson.of(figure)
 
-        figure = get_or_make(("profile", run.path, fit), run.version("profiles"), profile)
+        figure = get_or_make(("profile", run.path, fit), run.version("profiles"), profile_figure)
         finite = np.maximum(np.nan_to_num(profiles.bins), FLOOR)  # JSON has no NaN
         follow = Follow(
             steps=fits, trace=np.where(finite < 1, finite.round(4), finite.round(2)).tolist()
@@ -271,7 +272,7 @@ def _go_to(fits: list[int], point: Point) -> None:
     timeline.go_to(at_or_before(fits, int(point.x)))
 
 
-def _elsewhere(run: RunReader, step: int) -> None:
+def _links(run: RunReader, step: int) -> None:
     """What other pages, and the other part of this one, make of these weights."""
     kept = [at for at in run.policy_steps() if at <= step]
 
@@ -314,32 +315,32 @@ def _road(scope: Scope, run: RunReader, step: int) -> None:
     _road_numbers(run)
     runs = [run, *(others[run_id] for run_id in beside)]
     choice = RoadChoice(tuple(each.run_id for each in runs), picture.step)
-    called = distinct_names(runs)
+    names = distinct_names(runs)
     if len(runs) > 1:
         widgets.show_scene(choice, ROAD_HEIGHT)
         for column, each in zip(st.columns(len(runs)), runs, strict=True):
             with column, st.container(border=True):
-                _flat_map(each, picture.step, SMALL_HEIGHT, called[each.run_id])
+                _flat_map(each, picture.step, SMALL_HEIGHT, names[each.run_id])
     else:
         left, right = st.columns([5, 4])
         with left:
             widgets.show_scene(choice, ROAD_HEIGHT)
         with right:
             _flat_map(run, picture.step, ROAD_HEIGHT)
-    _export(runs, list(called.values()))
+    _export(runs, list(names.values()))
     widgets.link_to("curves", "All runs of this task, side by side")
     for each in runs[1:]:
         widgets.show_problems(each)
 
 
-def _flat_map(run: RunReader, step: int, height: int, called: str = "") -> None:
+def _flat_map(run: RunReader, step: int, height: int, name: str = "") -> None:
     """The map, whose cells follow the timeline in the browser."""
     picture = road.fit(run, step)
     if picture is None:
         st.caption(f"The map of {text.markdown(run.run_id)} cannot be read.")
         return
-    if called:
-        st.markdown(f"**{text.markdown(called)}**, step {picture.step:,}")
+    if name:
+        st.markdown(f"**{text.markdown(name)}**, step {picture.step:,}")
     of_step = {at: found for at in road.steps(run) if (found := road.picture(run, at))}
     chart(
         road_map(picture, session.mode(), height), f"road map {run.run_id}",
@@ -348,20 +349,20 @@ def _flat_map(run: RunReader, step: int, height: int, called: str = "") -> None:
     )  # fmt: skip
 
 
-def _export(runs: Sequence[RunReader], called: list[str]) -> None:
+def _export(runs: Sequence[RunReader], names: list[str]) -> None:
     """A button that exports the runs' 3D scene with all fits as one HTML file."""
     mode = session.mode()
 
-    def page_of_it() -> str:
+    def make_page() -> str:
         from app.scenes.road import as_html  # here: viser and trimesh take 0.7 s to import
 
         steps = sorted({step for run in runs for step in road.steps(run)})
         fits = [[road.fit(run, step) for run in runs] for step in steps]
         whole = [[one for one in fit if one is not None] for fit in fits if all(fit)]
-        return as_html(whole, mode, called)
+        return as_html(whole, mode, names)
 
     st.download_button(
-        "Share the scene as one HTML file", page_of_it, "road-and-rocks.html", "text/html",
+        "Share the scene as one HTML file", make_page, "road-and-rocks.html", "text/html",
         icon=":material/ios_share:", on_click="ignore",
         help="opens in any browser, with nothing else beside it: every fit in turn, the cars "
         "drive; some MB",

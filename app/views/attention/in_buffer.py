@@ -16,12 +16,12 @@ from app.data.columns import RANK, WEIGHT
 from app.data.readers import fresh_reader
 from app.data.selection import Mask, Selection
 from app.data.weighings import Weighing
-from app.figures.replay import moments_figure
+from app.figures.replay import observation_windows
 from app.parts import address, map, widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from app.scenes.control import StatesChoice
-from app.theme import BLUE_TO_ORANGE, NEUTRAL, RISING, faded
+from app.theme import BLUE_TO_ORANGE, NEUTRAL, RISING, with_alpha
 from app.views.attention import why
 from tom.envs import ROAD
 from tom.frames import Run, read_weighing
@@ -53,11 +53,11 @@ def choose(
     scope: Scope,
     place: Callable[[], DeltaGenerator],
     suits: Callable[[RunReader], bool],
-    usual: Callable[[RunReader], object],
+    sort_key: Callable[[RunReader], object],
 ) -> RunReader | None:
     """The run of the list, or a data set that `tom weigh` was given, chosen at `place`."""
     data = {one.run_id: one for one in weighings.datasets(session.links().store)}
-    run = data.get(scope.chosen_id) or scope.choose_run(suits, usual)
+    run = data.get(scope.chosen_id) or scope.choose_run(suits, sort_key)
     if not data:
         return run
     options = [*([] if run is None else ["the chosen run"]), *data]
@@ -65,7 +65,7 @@ def choose(
     return data.get(chosen, run)
 
 
-def say_of(weighing: Weighing, rows: int, *facts: str) -> None:
+def show_remarks(weighing: Weighing, rows: int, *facts: str) -> None:
     """Say of a weighing of a buffer of `rows` what it lacks, contradicts itself in, and noticed."""
     for words in (weighing.missing(rows), *facts):
         if words:
@@ -99,9 +99,9 @@ def draw(run: RunReader, fit: int) -> None:
     )  # fmt: skip
     key = _pick_plane(run, sources, source, top[2])
     where, outline = address.get_all("where"), address.get_all("outline")
-    selection, row = Selection.of(where, outline), why.asked(rows)
+    selection, row = Selection.of(where, outline), why.chosen_row(rows)
     shown = [one for one in sources.values() if not one.weighing]
-    given = _given(run, rows, source, [source] if source.weighing else shown, row)
+    given = _map_data(run, rows, source, [source] if source.weighing else shown, row)
     keys = [key, *({selection.outline.plane} - {key} if selection.outline else ())]
     given["planes"] = [plane for one in keys if (plane := buffer_map.plane_for_browser(run, one))]
     beside = sources.get(against)
@@ -118,8 +118,8 @@ def draw(run: RunReader, fit: int) -> None:
     if run.env != ROAD:  # its states are positions, which its own map shows
         _scenes(run, rows, source, mask, selection, row)
         why.brush(run, source, mask)
-    why.section(run, rows, source, row)
-    _listed(run, rows, source, mask)
+    why.draw(run, rows, source, row)
+    _row_list(run, rows, source, mask)
     widgets.show_left_out(run, "other snapshots", "simulator states")
 
 
@@ -142,7 +142,7 @@ def _pick_weights(
             )
         return sources[str(kept)]
     if weighing := sources[chosen].weighing:
-        say_of(weighing, buffer.length(run))
+        show_remarks(weighing, buffer.length(run))
     return sources[chosen]
 
 
@@ -165,10 +165,10 @@ def _pick_plane(
         lambda kind: PLANES[kind] + (f" ({shares[kind]:.2f})" if kind in shares else ""),
         help=PLANE_HELP,
     )  # fmt: skip
-    told = st
+    caption_place = st
     if chosen == TWO:
         columns = st.columns([4, 4, 7], vertical_alignment="bottom")
-        told = columns[2]
+        caption_place = columns[2]
         x = address.choose_one(columns[0].selectbox, "Across", names, "across", names[0])
         rest = [name for name in names if name != x]
         y = address.choose_one(columns[1].selectbox, "Up", rest, "up", rest[0])
@@ -179,7 +179,7 @@ def _pick_plane(
         if not np.isfinite(share):
             st.caption("This network cannot be read: the plane is where weights differ most.")
             return keys[CONTRAST]
-        told.caption(f"It explains {percent(share, 0)} of the variance of the log weight.")
+        caption_place.caption(f"It explains {percent(share, 0)} of the variance of the log weight.")
     elif of != source.label:
         row = st.container(horizontal=True, vertical_alignment="center")
         row.caption(f"The plane is that of step {int(of):,}, so that what moves are the weights.")
@@ -189,7 +189,7 @@ def _pick_plane(
     return keys[chosen]
 
 
-def _given(
+def _map_data(
     run: RunReader, rows: Rows, source: Source, shown: list[Source], row: int | None
 ) -> dict[str, object]:
     """What the map needs to know of the buffer, of the `shown` weights, and of a chosen row."""
@@ -208,8 +208,9 @@ def _given(
         "diverging": BLUE_TO_ORANGE[mode],
         "sequential": RISING[mode],
         "colours": {
-            "all": faded(NEUTRAL, 0.45), "chosen": faded("#4a7fd0", 0.6),
-            "weight": BLUE_TO_ORANGE[mode][-2][1], "brush": faded(NEUTRAL, 0.2), "edge": NEUTRAL,
+            "all": with_alpha(NEUTRAL, 0.45), "chosen": with_alpha("#4a7fd0", 0.6),
+            "weight": BLUE_TO_ORANGE[mode][-2][1], "brush": with_alpha(NEUTRAL, 0.2),
+            "edge": NEUTRAL,
         },
     }  # fmt: skip
 
@@ -255,7 +256,9 @@ def _scenes(
         st.caption("A click on the panel's title opens it: there the moments can be played.")
         return
     heavy, light = (buffer.observations_around(run, numbers) for _, numbers, _ in groups)
-    figure = moments_figure(heavy, light, buffer.observation_names(run), MOMENT_HEIGHT, run.run_id)
+    figure = observation_windows(
+        heavy, light, buffer.observation_names(run), MOMENT_HEIGHT, run.run_id
+    )
     chart(figure, "moments", "observations round the heaviest and the lightest transitions")
     st.caption(
         "There is no robot to draw. Every line is a moment: the transition at 0, and the steps of "
@@ -263,14 +266,14 @@ def _scenes(
     )
 
 
-def _listed(run: RunReader, rows: Rows, source: Source, mask: Mask) -> None:
+def _row_list(run: RunReader, rows: Rows, source: Source, mask: Mask) -> None:
     """The heaviest chosen rows, listed when they are asked for; all of them as a file."""
     more = f", the {LISTED} heaviest" if mask.sum() > LISTED else ""
     box = address.fold(f"The chosen transitions{more}", "rows")
     if box.open:
         index = np.flatnonzero(mask)
         index = index[np.argsort(-rows.weight[index], kind="stable")][:LISTED]
-        box.dataframe(listed(run, rows, index), hide_index=True, alt="The chosen transitions")
+        box.dataframe(row_table(run, rows, index), hide_index=True, alt="The chosen transitions")
 
     def content() -> bytes:
         file = io.BytesIO()
@@ -293,7 +296,7 @@ def table(run: RunReader, source: Source) -> pd.DataFrame:
     return read_weighing(source.weighing.path).rows(source.column)
 
 
-def listed(run: RunReader, rows: Rows, index: np.ndarray) -> pd.DataFrame:
+def row_table(run: RunReader, rows: Rows, index: np.ndarray) -> pd.DataFrame:
     """One line for each of these rows: its weight, its origin, s, a, r and s'."""
     part = rows.rows[index].numpy()
     names, actions = buffer.obs_and_action_names(run)
@@ -312,6 +315,6 @@ def listed(run: RunReader, rows: Rows, index: np.ndarray) -> pd.DataFrame:
         (part.action, actions),
         (part.next_obs, [f"next {n}" for n in names]),
     )
-    for values, called in vectors:
-        table |= dict(zip(called, np.asarray(values).T, strict=True))
+    for values, columns in vectors:
+        table |= dict(zip(columns, np.asarray(values).T, strict=True))
     return pd.DataFrame(table)

@@ -10,7 +10,7 @@ from app import session, text
 from app.data import buffer, weighings
 from app.data.buffer import Floats
 from app.data.weighings import Dataset, Weighing
-from app.figures.weights import probe_profiles
+from app.figures.weights import median_profiles
 from app.parts import address, form, jobs, widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
@@ -72,7 +72,7 @@ def draw(scope: Scope) -> None:
                 shown.__getitem__,
                 help="live weights of a loop of your own; results of `tom weigh`, newest first",
             )  # fmt: skip
-            _weighed(found[chosen], rows)
+            _draw_weighing(found[chosen], rows)
         else:
             left.selectbox("Weighed", ["not yet"], disabled=True)
             st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
@@ -85,7 +85,7 @@ def draw(scope: Scope) -> None:
                 st.caption("It was last weighed by:")
                 st.code(run.command, language="bash", wrap_lines=True)
         else:
-            _weigh(run, kept, expanded=not found)
+            _weigh_form(run, kept, expanded=not found)
     with st.expander("Data and policies of your own", icon=":material/upload_file:"):
         words = ["weigh", "DATA", "--policy", "POLICY", "--env", "ENV", "--store", store]
         st.code(form.command_line(words), language="bash")
@@ -96,12 +96,12 @@ def draw(scope: Scope) -> None:
         widgets.show_problems(run)
 
 
-def _weighed(weighing: Weighing, rows: int) -> None:
+def _draw_weighing(weighing: Weighing, rows: int) -> None:
     of = weighing.weights()
     if not of:
         st.warning("The weights of this weighing cannot be read.")
         return
-    in_buffer.say_of(weighing, rows, weighing.card)
+    in_buffer.show_remarks(weighing, rows, weighing.card)
     footprints = weighing.footprints
     if sentence := nearest({name: of[:, 0] for name, of in footprints.items()}):
         st.markdown(text.unbroken(sentence))
@@ -109,7 +109,7 @@ def _weighed(weighing: Weighing, rows: int) -> None:
         share = weighing.ordered_from / len(next(iter(of.values())))
         ends = ": the dotted line ends the random data" if share > 0 else ""
         st.markdown(f"**By {text.markdown(weighing.policy)}**{ends}")
-        figure = probe_profiles(weighings.profiles(of), share, 400, keep=weighing.name)
+        figure = median_profiles(weighings.profiles(of), share, 400, keep=weighing.name)
         chart(figure, "probe", "weight profiles of several learners on the same buffer")
     with st.container(border=True):
         st.markdown("**The weights in numbers**: medians over seeds")
@@ -172,7 +172,7 @@ def _table(
     )
 
 
-def _weigh(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None:
+def _weigh_form(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None:
     """A form that starts `tom weigh` on this buffer, all of it or its state at a fit."""
     with st.expander("Weigh this buffer", icon=":material/scale:", expanded=expanded):
         row = st.columns([2, 4, 4, 2, 2])

@@ -17,7 +17,7 @@ from app.data.buffer_map import Source
 from app.data.selection import Mask
 from app.data.weighings import Brushed
 from app.data.why import Why
-from app.figures.why import NAMES, error_bars, factor_in_words, rollout_lines, waterfall
+from app.figures.why import NAMES, error_bars, factor_text, rollout_lines, waterfall
 from app.parts import address, jobs, widgets
 from app.parts.plot import chart
 from app.scenes.film import ghosts
@@ -48,7 +48,7 @@ def pick(row: int) -> None:
     st.session_state[KEY] = row
 
 
-def asked(rows: Rows) -> int | None:
+def chosen_row(rows: Rows) -> int | None:
     """The chosen row of the buffer: by a click, a widget or the address (`?row=`); or none."""
     row = address.value_of(KEY, address.whole_number)
     inside = row is not None and rows.first <= row < rows.first + len(rows)
@@ -56,9 +56,9 @@ def asked(rows: Rows) -> int | None:
     return row - rows.first if row is not None and inside else None
 
 
-def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None:
+def draw(run: RunReader, rows: Rows, source: Source, row: int | None) -> None:
     with st.container(border=True):
-        _pick(rows)
+        _row_picker(rows)
         if row is None:
             return
         found = reasons.why_of(run, rows, source)
@@ -72,7 +72,7 @@ def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None
         widgets.metrics(numbers, {"heavier than": "of the buffer"})
         if isinstance(found, str):
             st.info(f"No sum: {text.markdown(found)}.", icon=":material/functions:")
-            _offer(run, rows)
+            _offer_weighing(run, rows)
         else:
             left, right = st.columns([3, 2])
             with left:
@@ -86,18 +86,18 @@ def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None
                 formula += "." if config.divergence == "kl" else f"{mean}."
                 g = 1.0 if config.flow == "stationary" else config.discount
                 cut = " The sum lies below the cut, so the weight is zero." if raw == 0 else ""
-                said = (
+                sentence = (
                     f"{short(summed.weight)} = {formula}{cut} Divergence {config.divergence}, flow "
                     f"{FLOWS[config.flow]}; g = {g:g}. Terms of {found.origin}."
                 )
-                st.caption(text.markdown(said))
+                st.caption(text.markdown(sentence))
             with right:
                 _neighbours(run, rows, found, row)
         if run.env != ROAD:
             _rollouts(run, rows, row)
 
 
-def _pick(rows: Rows) -> None:
+def _row_picker(rows: Rows) -> None:
     st.markdown("**Why this weight?** Click a transition on a map, or choose one")
     weight = rows.weight
     zero, above = np.flatnonzero(weight == 0), np.flatnonzero(weight > 0)
@@ -172,7 +172,7 @@ def _rollouts(run: RunReader, rows: Rows, row: int) -> None:
     )
 
 
-def _offer(run: RunReader, rows: Rows) -> None:
+def _offer_weighing(run: RunReader, rows: Rows) -> None:
     """Offer to weigh the buffer of this step again, with its terms.
 
     Not where that would run code of the user's, which a page never starts.
@@ -202,7 +202,7 @@ def brush(run: RunReader, source: Source, mask: Mask) -> None:
     with st.container(border=True):
         st.markdown("**What if this region counted more, or less?**")
         job = f"Brush of {run.run_id}"
-        _start(job, run, source, mask)
+        _brush_form(job, run, source, mask)
         # The newest is then shown, in place of an earlier one that was chosen.
         jobs.show(job, lambda: st.session_state.update(brush=""))
         if regions:
@@ -213,11 +213,11 @@ def brush(run: RunReader, source: Source, mask: Mask) -> None:
             _brushed(run, regions[chosen])
 
 
-def command(
-    run_id: str, rows: str, step: int, of: str, factors: Sequence[float], store: str
+def brush_arguments(
+    run_id: str, rows: str, step: int, weights_option: str, factors: Sequence[float], store: str
 ) -> list[str]:
     """The arguments of `tom` that brush the rows listed in a file."""
-    weights = ["--weighing", of] if of else []
+    weights = ["--weighing", weights_option] if weights_option else []
     by = [f"{factor:g}" for factor in factors]
     return [
         "brush", run_id, "--rows", rows, "--step", str(step), *weights, "--factors", *by,
@@ -225,11 +225,11 @@ def command(
     ]  # fmt: skip
 
 
-def _start(job: str, run: RunReader, source: Source, mask: Mask) -> None:
+def _brush_form(job: str, run: RunReader, source: Source, mask: Mask) -> None:
     left, right = st.columns([3, 2], vertical_alignment="bottom")
     factors = left.pills(
         "Its weight is multiplied by", list(FACTORS), default=list(FACTORS), key="factors",
-        selection_mode="multi", format_func=factor_in_words,
+        selection_mode="multi", format_func=factor_text,
     )  # fmt: skip
     count = int(mask.sum())
     if why := session.read_only_reason():
@@ -246,7 +246,7 @@ def _start(job: str, run: RunReader, source: Source, mask: Mask) -> None:
         with NamedTemporaryFile("w", prefix="tom-brush-", suffix=".txt", delete=False) as file:
             np.savetxt(file, source.first + np.flatnonzero(mask), fmt="%d")
         store = session.links().store
-        words = command(run.argument, file.name, source.end, source.option, factors, store)
+        words = brush_arguments(run.argument, file.name, source.end, source.option, factors, store)
         # The file goes with the record of its reader, or with the studio.
         finalize(jobs.start(job, words), Path(file.name).unlink, missing_ok=True)
 
@@ -259,7 +259,7 @@ def _brushed(run: RunReader, brushed: Brushed) -> None:
         )
         figure = error_bars(brushed, BRUSH_HEIGHT, session.mode())
         chart(figure, "brush errors", "errors of brushed models by region")
-        st.caption(in_words(brushed))
+        st.caption(error_changes(brushed))
     with right:
         kept = [f for f in brushed.factors if f"x{f:g}" in brushed.ghosts]
         if not kept:
@@ -267,14 +267,14 @@ def _brushed(run: RunReader, brushed: Brushed) -> None:
             return
         factor = st.segmented_control(
             "Ghost of weight", kept, default=kept[0], required=True, key="ghost of",
-            format_func=factor_in_words,
+            format_func=factor_text,
         )  # fmt: skip
         factor = kept[0] if factor not in kept else factor
-        known, model = buffer.find_task(run), scene_of(run)
-        if known is None or model is None:
+        task, model = buffer.find_task(run), scene_of(run)
+        if task is None or model is None:
             st.caption("No ghosts: there is no robot to draw.")
             return
-        name, drawn = f"region {factor_in_words(factor)}", (known, model)
+        name, drawn = f"region {factor_text(factor)}", (task, model)
         page = ghosts(drawn, brushed.ghosts, factor, name, run.learner, session.mode())
         st.iframe(page, height=BRUSH_HEIGHT, alt="Ghosts of two models")
         st.caption(
@@ -283,9 +283,9 @@ def _brushed(run: RunReader, brushed: Brushed) -> None:
         )
 
 
-def in_words(brushed: Brushed) -> str:
+def error_changes(brushed: Brushed) -> str:
     """The change of the models' errors, one sentence per factor."""
-    said = []
+    sentences = []
     for factor in brushed.factors:
         parts = []
         for region, name in NAMES.items():
@@ -295,9 +295,9 @@ def in_words(brushed: Brushed) -> str:
                 continue
             sure = (ratio > 1).all() or (ratio < 1).all()
             parts.append(f"{name} {100 * (ratio.mean() - 1):+.0f} %{'' if sure else ' (not all)'}")
-        said.append(f"Weight {factor_in_words(factor)}: {', '.join(parts)}.")
+        sentences.append(f"Weight {factor_text(factor)}: {', '.join(parts)}.")
     size = f"{brushed.model['layers']} layers of {brushed.model['hidden']} units"
     return text.markdown(
-        f"{' '.join(said)} Not all: the seeds do not agree on the sign. Models of {size}, errors "
-        "one step ahead against those by the weights as they are."
+        f"{' '.join(sentences)} Not all: the seeds do not agree on the sign. Models of {size}, "
+        "errors one step ahead against those by the weights as they are."
     )

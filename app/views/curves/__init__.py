@@ -15,8 +15,8 @@ from app import session, text
 from app.data import readers, tables
 from app.data.cache import get_or_make
 from app.data.run_names import distinct_names, full_names, task_title
-from app.figures.base import steps_in_words
-from app.figures.curves import alone, group_curves, label_ends, short_title
+from app.figures.base import step_axis_title
+from app.figures.curves import group_curves, label_ends, short_title, single_run_group
 from app.parts import address, shortlinks, timeline, widgets
 from app.parts.plot import FigureJson, Follow, Point, View, chart
 from app.parts.scope import CUT_SHORT, LINES, Scope
@@ -74,7 +74,9 @@ def page(scope: Scope) -> None:
 
 
 def _curves(scope: Scope, row: DeltaGenerator) -> None:
-    recorded = measure.in_order(name for run in scope.runs for name in readers.metric_counts(run))
+    recorded = measure.favourites_first(
+        name for run in scope.runs for name in readers.metric_counts(run)
+    )
     usual = [name for name in measure.FIRST[:4] if name in recorded]
     chosen = address.choose_many(
         "Panels", recorded, "panel", default=usual or recorded[:1], label_visibility="collapsed",
@@ -125,7 +127,7 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
                     figure, f"curve {env} {metric}", f"{metric} against {how.axes.x} in {env}",
                     partial(_clicked, curves) if on_steps else None,
                     view=View(seen.get(""), seen.get(panel)),
-                    viewed=partial(measure.remember, seen, panel),
+                    viewed=partial(measure.set_zoom, seen, panel),
                     follow=Follow(cursor=on_steps), linked="curves",
                     caption=caption(metric, env, grouped, how, scope),
                 )  # fmt: skip
@@ -137,7 +139,9 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
             # The highest value of another metric, such as an error, may be the worst.
             table = table.rename(columns=lambda name: name.replace("best", "highest", 1))
         st.markdown(f"**{text.markdown(metric)}** at the step that all runs of a group reach")
-        st.dataframe(in_words(table), hide_index=True, column_config=COLUMNS, alt="The groups")
+        st.dataframe(
+            with_interval_text(table), hide_index=True, column_config=COLUMNS, alt="The groups"
+        )
 
 
 def _figure(
@@ -155,28 +159,28 @@ def _figure(
         except Exception as error:  # a plug-in's, which must not take the page with it
             st.exception(error)
             return None
-    looks = {scope.kinds[run.run_id]: scope.styles[scope.kinds[run.run_id]] for run in here}
+    styles = {scope.kinds[run.run_id]: scope.styles[scope.kinds[run.run_id]] for run in here}
     groups = list(grouped)
     if not grouped:
         st.caption(
             "Its values go back and forth along this axis, so each run has a line of its own."
         )
-        called = distinct_names(here)
+        names = distinct_names(here)
         for curve in (curve for curve in curves if len(curve.step)):
-            groups.append(alone(curve, called[curve.run_id]))
-            looks[groups[-1].kind] = replace(looks[curve.kind], title=called[curve.run_id])
+            groups.append(single_run_group(curve, names[curve.run_id]))
+            styles[groups[-1].kind] = replace(styles[curve.kind], title=names[curve.run_id])
 
-    def drawn() -> FigureJson:
+    def make() -> FigureJson:
         figure = group_curves(
             groups, metric, PANEL_HEIGHT, singles=how.singles, axes=how.axes, window=how.window,
-            looks=looks,
+            styles=styles,
         )  # fmt: skip
         if len(groups) <= LINES:
-            label_ends(figure, groups, looks, how.axes)
+            label_ends(figure, groups, styles, how.axes)
         return FigureJson.of(figure)
 
-    key = measure.held(here, scope.kinds), metric, how, *looks.items()
-    return get_or_make(("panel", *key), None, drawn)
+    key = measure.cache_key(here, scope.kinds), metric, how, *styles.items()
+    return get_or_make(("panel", *key), None, make)
 
 
 def caption(metric: str, env: str, grouped: Sequence[Group], how: Measure, scope: Scope) -> str:
@@ -184,7 +188,7 @@ def caption(metric: str, env: str, grouped: Sequence[Group], how: Measure, scope
     bands = {"bootstrap": ", band: 95 % bootstrap interval", "deviation": ", band: one deviation"}
     named = ", ".join(f"{scope.styles[group.kind].title} (n = {group.n})" for group in grouped)
     smooth = f", moving average of {how.window} points" if how.window > 1 else ""
-    of = steps_in_words({env}) if how.axes.x == measure.STEPS else how.axes.x
+    of = step_axis_title({env}) if how.axes.x == measure.STEPS else how.axes.x
     line = f"Line: {NAMES[how.statistic]} over {scope.unit}{bands.get(how.band, '')}"
     drawn = f"{line}{smooth}. {named}" if grouped else f"Lines: single runs{smooth}"
     return f"{short_title(metric)} on {task_title(env)} against {of}. {drawn}."
@@ -211,7 +215,7 @@ def remarks(grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, sco
         "bootstrap": f"Band: 95 % bootstrap interval of it (1000 resamples of the {unit}).",
         "deviation": f"Band: one standard deviation of the {unit} around their mean.",
     }
-    said = {
+    sentences = {
         f"Line: {NAMES[how.statistic]} over {unit}.": True,
         bands.get(how.band, ""): how.band in bands,
         f"Grouped by {text.markdown(scope.by)}: all else may differ.": unit == "runs",
@@ -221,19 +225,20 @@ def remarks(grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, sco
         "Runs that were recorded at other steps are interpolated between theirs.": any(
             group.interpolated for group in grouped
         ),
-        "Rows of the table end at different steps: Statistics compares at one.": unlike_ends(
+        "Rows of the table end at different steps: Statistics compares at one.": ends_differ(
             grouped
         ),
-        "A seed that was run twice counts twice.": unit == "seeds" and measure.repeated(grouped),
+        "A seed that was run twice counts twice.": unit == "seeds"
+        and measure.has_repeated_seed(grouped),
         "The first half of a recording of SAC is random steps, and they count here.": any(
             curve.learner == SAC_ALONE for curve in curves
         ),
         f"Left out, as they ended well before the others: {text.markdown(which)}.": bool(cut),
     }
-    return text.unbroken(" ".join(words for words, holds in said.items() if holds))
+    return text.unbroken(" ".join(words for words, holds in sentences.items() if holds))
 
 
-def unlike_ends(grouped: Sequence[Group]) -> bool:
+def ends_differ(grouped: Sequence[Group]) -> bool:
     """Whether the rows of an environment's table end at clearly different steps."""
     ends: dict[str, list[float]] = {}
     for group in grouped:
@@ -241,7 +246,7 @@ def unlike_ends(grouped: Sequence[Group]) -> bool:
     return any(min(of) < CUT_SHORT * max(of) for of in ends.values())
 
 
-def in_words(table: pd.DataFrame) -> pd.DataFrame:
+def with_interval_text(table: pd.DataFrame) -> pd.DataFrame:
     """The table with each interval in one column of text, without empty columns."""
     shown = table.copy()
     for name in [name.removesuffix(" low") for name in table if name.endswith(" low")]:

@@ -14,7 +14,7 @@ from app.figures.replay import episode_curves, observed_curves, return_curve
 from app.parts import address, timeline, widgets
 from app.parts.plot import Point, chart
 from app.parts.scope import Scope
-from app.scenes.control import REAL_TIME, SPEEDS, Clock, ReplayChoice, Wish, clock
+from app.scenes.control import REAL_TIME, SPEEDS, Clock, Command, ReplayChoice, clock
 from app.theme import learner_label
 from tom import readable
 from tom.envs import ROAD
@@ -28,9 +28,9 @@ TICK_S, LISTEN_S = 0.5, 4
 PART = "replay"
 """the name of the frame on its page"""
 FRAME, SLIDER = "frame", "replay frame"
-ASKED = "replay asked"
+REQUEST = "replay asked"
 """the page's requests: their number, the last one, and its frame"""
-NOTHING = (0, "go", 0)
+NO_REQUEST = (0, "go", 0)
 CHOSEN = "another episode was chosen"
 
 
@@ -50,9 +50,9 @@ def draw(scope: Scope) -> None:
     if not len(returns):
         st.warning("The episodes of this evaluation cannot be read.")
         return
-    called = text.markdown(full_names(scope.runs)[run.run_id])
+    name = text.markdown(full_names(scope.runs)[run.run_id])
     top = st.columns([6, 3, 3], vertical_alignment="bottom")
-    top[0].header(f"{called}, evaluated at step {step:,}", anchor=False)
+    top[0].header(f"{name}, evaluated at step {step:,}", anchor=False)
     options = list(range(1, len(returns) + 1))
     label = f"Episode (of {len(returns)})"
     index = address.choose_one(top[1].selectbox, label, options, "episode", 1) - 1
@@ -127,7 +127,7 @@ def _play(
     at, playing = position()  # the scene plays, or has controls of its own
     if FRAME in st.session_state:
         st.session_state[FRAME] = min(at, replay.episode.length)
-    frame = _marked(replay, playing=playing)
+    frame = _current_frame(replay, playing=playing)
     left, right = st.columns([3, 2])
     with left:
         viewer = address.choose_part([VISER, RERUN], "viewer", "Viewer")
@@ -135,10 +135,10 @@ def _play(
             name = f"episode-{replay.step}-{index}-{horizon}.rrd"
             widgets.show_rerun(run, STAGE_HEIGHT, name)
         elif replay.has_scene:
-            asked, wish, at = st.session_state.get(ASKED, NOTHING)
+            request, command, at = st.session_state.get(REQUEST, NO_REQUEST)
             state = st.session_state
             choice = ReplayChoice(
-                run.run_id, replay.step, index, at, horizon, asked=asked, wish=wish,
+                run.run_id, replay.step, index, at, horizon, request=request, command=command,
                 speed=state.get("replay speed", REAL_TIME),
                 ghost=bool(state.get("replay ghost", True)),
                 follow=bool(state.get("replay follows", True)),
@@ -186,13 +186,13 @@ def _choose_episode(point: Point) -> None:
 
 def position() -> tuple[int, bool]:
     """The scene's step and whether it plays; the page's wish until the scene has heard it."""
-    now, (asked, wish, _) = _clock(), st.session_state.get(ASKED, NOTHING)
-    if now is None or now.asked != asked:
-        return st.session_state.get(FRAME, 0), now is not None and wish == "play"
+    now, (request, command, _) = _clock(), st.session_state.get(REQUEST, NO_REQUEST)
+    if now is None or now.request != request:
+        return st.session_state.get(FRAME, 0), now is not None and command == "play"
     return now.frame, now.playing
 
 
-def _marked(replay: Replay, *, playing: bool) -> int:
+def _current_frame(replay: Replay, *, playing: bool) -> int:
     """The shown step of the episode: the scene's, or that of the address, which a pause writes."""
     before = st.session_state.get(FRAME)
     frame = address.value_of(FRAME, address.whole_number) or 0
@@ -206,7 +206,7 @@ def _marked(replay: Replay, *, playing: bool) -> int:
 
 def go_to(frame: int) -> None:
     st.session_state[FRAME] = frame
-    _ask("go", frame)
+    _send_request("go", frame)
 
 
 def _controls(replay: Replay, *, playing: bool) -> None:
@@ -217,11 +217,11 @@ def _controls(replay: Replay, *, playing: bool) -> None:
         now = _clock()
         if now is not None and now.playing:
             st.session_state[FRAME] = now.frame
-            _ask("pause", now.frame)
+            _send_request("pause", now.frame)
             return
         if st.session_state[FRAME] >= last:
             st.session_state[FRAME] = 0
-        _ask("play", st.session_state[FRAME])
+        _send_request("play", st.session_state[FRAME])
 
     icon = ":material/pause:" if playing else ":material/play_arrow:"
     row = st.columns([2, 6, 3], vertical_alignment="bottom")
@@ -239,9 +239,9 @@ def _controls(replay: Replay, *, playing: bool) -> None:
     row[1].toggle("Camera follows", True, key="replay follows")
 
 
-def _ask(wish: Wish, frame: int) -> None:
-    asked = st.session_state.get(ASKED, NOTHING)[0]
-    st.session_state[ASKED] = (asked + 1, wish, frame)
+def _send_request(command: Command, frame: int) -> None:
+    request = st.session_state.get(REQUEST, NO_REQUEST)[0]
+    st.session_state[REQUEST] = (request + 1, command, frame)
 
 
 def _clock() -> Clock | None:

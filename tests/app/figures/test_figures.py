@@ -16,14 +16,14 @@ from studio_runs import PENDULUM_TOM, info
 from app.data import readers
 from app.data.exams import Exams
 from app.figures.base import decimate, relative_scale
-from app.figures.curves import CORE, POINTS, Axes, alone, group_curves
+from app.figures.curves import CORE, POINTS, Axes, group_curves, single_run_group
 from app.figures.exams import FITS, errors_by_age, footprint_error_return
-from app.figures.replay import moments_figure
+from app.figures.replay import observation_windows
 from app.figures.statistics import improvement
 from app.figures.weights import (
     MAP_COLUMNS,
+    median_profiles,
     over_fits,
-    probe_profiles,
     weight_profile,
 )
 from app.theme import learner_colour, learner_symbol
@@ -112,7 +112,7 @@ def test_a_log_axis_says_what_it_leaves_out_and_keeps_bands_above_zero() -> None
     assert line.y.tolist() == pytest.approx(group.mean.tolist())
     assert band.y.min() == 2  # the smallest positive value of the line and of the band
     assert notes(figure) == ["2 of 3 values at or below zero: not on a log axis"]
-    single = [alone(curve, curve.run_id) for curve in curves]
+    single = [single_run_group(curve, curve.run_id) for curve in curves]
     figure = group_curves(single, "x", 300, singles=False, axes=Axes(log_x=True, log_y=True))
     assert notes(figure) == ["4 of 9 values at or below zero: not on a log axis"]
     assert not notes(group_curves(single, "x", 300, singles=False))
@@ -120,7 +120,7 @@ def test_a_log_axis_says_what_it_leaves_out_and_keeps_bands_above_zero() -> None
 
 def test_profiles_on_a_log_axis_end_at_a_hundredth_of_uniform() -> None:
     values = np.array([[0.0, 0.0, 2.0, 1.0], [0.0, 1.0, 4.0, 1.0]])
-    band, line = traces(probe_profiles({"tom": values}, 0, 300))
+    band, line = traces(median_profiles({"tom": values}, 0, 300))
     assert band.y.tolist() == [0.01, 1, 4, 1, 1, 2, 0.01, 0.01]
     assert line.y.tolist() == [0.01, 0.5, 3, 1]
     assert line.customdata.tolist() == [0, 0.5, 3, 1]
@@ -168,9 +168,9 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
     drawn = [
         weight_profile(bins[last], "tom", 300, keep=run_id),
         over_fits([("a", curve, profiles)], "light", 400),
-        probe_profiles({"tom": bins}, 0, 300, keep=run_id),
+        median_profiles({"tom": bins}, 0, 300, keep=run_id),
         errors_by_age([("a", "tom", bins[last])], 5, 300, keep=run_id),
-        moments_figure(bins[None], bins[None], ["a"], 100, keep=run_id),
+        observation_windows(bins[None], bins[None], ["a"], 100, keep=run_id),
         improvement(WINS.head(1), ["red"], 200, run_id),
     ]
     return [figure.to_dict()["layout"]["uirevision"] for figure in drawn]

@@ -16,7 +16,7 @@ from matplotlib.markers import MarkerStyle
 from PIL import Image
 
 from app import theme
-from app.figures.curves import GAP, Axes, group_curves, label_ends, moved_apart, styles_of
+from app.figures.curves import GAP, Axes, group_curves, label_ends, spread_apart, styles_of
 from app.figures.paper import KINDS, SYMBOLS, WIDTHS, paper_figure
 from tom.analysis.curves import Curve, Group, aggregate
 
@@ -35,7 +35,7 @@ def group(learner: str, end: float, runs: int = 3, lowest: float = 0.0) -> Group
 
 def labelled(groups: list[Group], axes: Axes = Axes()) -> go.Figure:  # noqa: B008 (it is frozen)
     looks = styles_of((one.env, one.kind) for one in groups)
-    figure = group_curves(groups, "eval/return", 300, singles=False, axes=axes, looks=looks)
+    figure = group_curves(groups, "eval/return", 300, singles=False, axes=axes, styles=looks)
     return label_ends(figure, groups, looks, axes)
 
 
@@ -48,7 +48,7 @@ def labels(figure: go.Figure) -> list[dict[str, Any]]:
 @given(st.lists(st.floats(0, 300), min_size=1, max_size=8), st.floats(1, 20))
 def test_places_are_moved_apart_and_keep_their_order(places: list[float], gap: float) -> None:
     before = np.array(places)
-    after = moved_apart(before, gap)
+    after = spread_apart(before, gap)
     assert (np.diff(after[np.argsort(before, kind="stable")]) > 0.95 * gap).all()
     apart = np.diff(np.sort(before))
     if not len(apart) or apart.min() >= gap:

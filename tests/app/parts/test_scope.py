@@ -30,7 +30,7 @@ def state(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[str]]:
     eyes: dict[str, list[str]] = {"hide": [], "show": []}
     monkeypatch.setattr(scope.st, "session_state", eyes)
     monkeypatch.setattr(scope.address, "value_of", lambda key, _: eyes.get(key, []))
-    monkeypatch.setattr(scope.address, "keep", lambda *_: None)
+    monkeypatch.setattr(scope.address, "write", lambda *_: None)
     return eyes
 
 

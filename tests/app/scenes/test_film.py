@@ -11,8 +11,8 @@ from studio_pages import draw
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import readers
-from app.scenes.film import body, cinema, ghosts, may_be_told, story
-from app.servers.cinema import opened, video
+from app.scenes.film import cinema, ghosts, has_story, robot_shapes, story
+from app.servers.cinema import film_tab, video
 from tom.envs import task
 from tom.envs.scene import model
 from tom.errors import UserError
@@ -41,7 +41,7 @@ def test_a_story_is_what_the_run_recorded(store: Path) -> None:
 
 
 def test_robots_stand_on_the_floor_as_the_simulator_has_them() -> None:
-    found = body(model("hopper"), np.array([[0, 1.25, 0, 0, 0, 0]], np.float32))
+    found = robot_shapes(model("hopper"), np.array([[0, 1.25, 0, 0, 0, 0]], np.float32))
     ends = numbers(found["ends"], "<i2").reshape(*found["shape"], 2, 3)
     radius = np.array(found["radius"])[:, None]
     lowest = (ends[0, ..., 2] - radius).min()
@@ -61,7 +61,7 @@ def test_the_page_asks_nobody_for_anything(store: Path) -> None:
 
 
 def test_road_and_rocks_and_runs_without_a_buffer_have_no_story(store: Path) -> None:
-    assert not may_be_told(info(store, ROAD_TOM))
+    assert not has_story(info(store, ROAD_TOM))
     with pytest.raises(UserError, match="road-and-rocks"):
         story(info(store, ROAD_TOM))
 
@@ -89,7 +89,7 @@ def test_the_page_offers_the_film_under_the_name_that_the_run_has_now(own: Path)
 def test_the_film_plays_without_a_server_and_becomes_an_mp4(store: Path) -> None:
     run = info(store, PENDULUM_TOM)
     page = cinema(story(run), run.learner, "light", 20.0)
-    with opened(page) as tab:
+    with film_tab(page) as tab:
         asked: list[str] = []
         tab.on("request", lambda request: asked.append(request.url))
         first, last = (tab.evaluate(PICTURE, seconds) for seconds in (0, 20))

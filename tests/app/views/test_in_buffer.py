@@ -23,7 +23,7 @@ from app.data.columns import Column
 from app.data.selection import Selection, between, inside
 from app.parts import timeline
 from app.scenes import control, solids
-from app.views.attention.in_buffer import listed, table
+from app.views.attention.in_buffer import row_table, table
 from tom.analysis import why as reasons
 from tom.cli import main
 from tom.envs import scene, task
@@ -79,7 +79,7 @@ def test_robots_stand_as_they_were_recorded(store: Path, rows: Rows) -> None:
     ended = (np.asarray(recorded.terminated) != 0) | (np.asarray(recorded.truncated) != 0)
     found = poses(task("inverted-pendulum"), recorded, {}, windows(ended, [7, 200]))
     assert found[:, WINDOW] == pytest.approx(np.asarray(recorded.obs)[[7, 200], :2])
-    robots = solids.of(scene.model("inverted-pendulum"), found)
+    robots = solids.robot_solids(scene.model("inverted-pendulum"), found)
     position, wxyz = robots.position[:, WINDOW], robots.wxyz[:, WINDOW]
     assert position.shape == (2, 3, 3)
     assert np.linalg.norm(wxyz, axis=-1) == pytest.approx(1)
@@ -417,7 +417,7 @@ def test_a_row_that_the_buffer_does_not_have_is_dropped(rows: Rows, row: str) ->
 
 def test_the_numbers_of_a_row_are_those_of_the_map_and_the_table(rows: Rows, store: Path) -> None:
     shown = metrics(in_buffer(run=PENDULUM_TOM, step=str(FIT), row="40"))
-    line = listed(info(store, PENDULUM_TOM), rows, np.array([40])).iloc[0]
+    line = row_table(info(store, PENDULUM_TOM), rows, np.array([40])).iloc[0]
     assert shown["its step in its episode"] == str(line["step of the episode"])
     assert (line["row"], line["episode"]) == (rows.first + 40, rows.episode[40] + 1)
     equal = metrics(in_buffer(run="pendulum-mle-0", step=str(FIT), row="5"))
