@@ -63,7 +63,7 @@ def contrast(run: RunReader, step: int) -> Contrast | None:
         return None
     names = dimension_names(run.env, weighed.rows, buffer.observation_names(run))
     plane = planes.contrast_of(weighed.rows, weighed.weight, names)
-    share = planes.explained(planes.of_rows(plane, weighed.rows), weighed.weight)
+    share = planes.explained_share(planes.of_rows(plane, weighed.rows), weighed.weight)
     largest = planes.loadings(plane.axes[:, 0], planes.feature_names(*names))
     return Contrast(run.seed, step, largest, share)
 

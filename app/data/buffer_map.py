@@ -18,7 +18,7 @@ from app.data.selection import Mask, Selection, between, inside
 from app.data.weighings import Dataset, Weighing
 from app.theme import learner_label
 from tom.analysis import planes, why
-from tom.analysis.brush import AS_IT_IS
+from tom.analysis.brush import UNCHANGED
 from tom.analysis.imagine import StoredModel
 from tom.dynamics.neural import NeuralDynamics
 from tom.envs import ROAD
@@ -88,7 +88,7 @@ def weighing_sources(run: RunReader) -> dict[str, Source]:
         )
         for weighing in (*made[:WEIGHINGS], *brushes[:WEIGHINGS])
         for (learner, seed), weight in weighing.weights().items()
-        if not (weighing.brush and learner == called(AS_IT_IS))
+        if not (weighing.brush and learner == called(UNCHANGED))
         and len(weight) <= weighing.end <= length
         for label in [f"{learner_label(learner)} s{seed}, {weighing.name}"]
     }
@@ -222,7 +222,7 @@ def explained_share(run: RunReader, key: str, source: Source) -> float:
         xy = place.xy[source.first + part]
     else:
         return np.nan
-    return planes.explained(xy, source.weight[part])
+    return planes.explained_share(xy, source.weight[part])
 
 
 def source_codes(run: RunReader, source: Source, name: str) -> tuple[columns.Codes, Column] | None:

@@ -51,7 +51,7 @@ def listing(store: str) -> Listing:
         if found is None or found[0] != _version(found[1]):
             version = _version(RunReader(Path(store) / name))
             try:
-                run = Store(store).look(name)
+                run = Store(store).open_run(name)
             except UserError as error:
                 problems.append(str(error))
                 continue

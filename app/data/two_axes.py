@@ -12,7 +12,7 @@ from app.data.studies import Study
 from app.data.verdicts import LABELS, Panel, Verdict, tables_of, word_of
 from tom.analysis.statistics import COVERAGE, Interval
 from tom.studies.frozen import ERROR, MODELS, UNIFORM, WAYS
-from tom.studies.moments import Value, over_recordings, ratios, telling, trial_of
+from tom.studies.moments import Value, informative_outcomes, over_recordings, ratios, trial_of
 from tom.studies.study import Row
 
 QUESTION = "Does weighing nearer to the policy make the paper's model better there?"
@@ -36,7 +36,7 @@ def verdicts(listed: Sequence[Study]) -> dict[str, Verdict]:
             near, errs = (tables_of(by_verb[name])["moments"] for name in ("footprint", "capacity"))
             shared = {*map(trial_of, near)} & {*map(trial_of, errs)}
             near, errs = ([row for row in rows if trial_of(row) in shared] for rows in (near, errs))
-            distances = [(row, row["footprint"]) for row in telling(near)]
+            distances = [(row, row["footprint"]) for row in informative_outcomes(near)]
             errors = [
                 (row, log(r)) for row, model, r in ratios(errs, ERROR) if model == PAPER_MODEL
             ]

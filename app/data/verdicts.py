@@ -20,7 +20,7 @@ from tom.analysis.statistics import Interval
 from tom.learners import LEARNERS, SUBJECT
 from tom.readable import percent
 from tom.studies.frozen import MENDED, PRINTED, UNIFORM, WAYS
-from tom.studies.moments import sign_test, telling
+from tom.studies.moments import informative_outcomes, sign_test
 from tom.studies.returns_tables import MEASURES
 from tom.studies.study import Row
 
@@ -96,7 +96,7 @@ def _footprint(tables: Tables) -> Verdict:
     for row in (rows[way] for way in (PRINTED, MENDED) if way in rows):
         signs = sign_test(
             (one["env"], one["recording"], 1 - one["footprint"])
-            for one in telling(tables["moments"])
+            for one in informative_outcomes(tables["moments"])
             if one["way"] == row["way"]
         )
         ours.append({**row, "p": signs.p, "better on": signs.above, "recordings": signs.n})

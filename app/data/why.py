@@ -14,7 +14,7 @@ from app.data.cache import cached, get_or_make
 from app.data.readers import fresh_reader
 from app.data.weighings import Weighing
 from tom.analysis import why
-from tom.analysis.weighing import load_policy, made_anew
+from tom.analysis.weighing import collect_footprint, load_policy
 from tom.analysis.why import Near, Sum
 from tom.config import OnlineConfig, TomConfig
 from tom.data.transitions import TensorTransitions, Transitions
@@ -108,7 +108,7 @@ def _weighing_context(
     tom, known = TomConfig.model_validate(weighing.report["config"]["tom"]), task(run.env)
     policy = load_policy(weighing.report["policy"], Store(run.home.parent), known, weighing.step)
     seed, count = int(source.column.rpartition("-s")[2]), int(weighing.report["footprint"])
-    anew = made_anew(known, policy, count, seed).transitions.torch()
+    anew = collect_footprint(known, policy, count, seed).transitions.torch()
     return tom, f"the weighing {weighing.name}", anew, torch.arange(0)
 
 

@@ -63,9 +63,9 @@ def set_layout(
 
     `keep` names what is drawn, such as a run: a zoom on one would show nothing of another.
     The page has the figure's title; `x` and `y` are those of the axes. `marks` are lines made by
-    `horizontal_line` and `vertical_line`; `x_axis`, `y_axis` and `layout` are further settings of Plotly. Only for
-    a figure with one pair of axes and no layout yet, because setting a whole layout takes a third
-    of the time of updates.
+    `horizontal_line` and `vertical_line`; `x_axis`, `y_axis` and `layout` are further settings of
+    Plotly. Only for a figure with one pair of axes and no layout yet, because setting a whole
+    layout takes a third of the time of updates.
     """
     titles = {"text": x}, {**Y_AXIS["title"], **({} if y is None else {"text": y})}
     own = {

@@ -39,7 +39,7 @@ from app.theme import (
     shades,
 )
 from tom.analysis.curves import GRID, Curve, Group, smoothed
-from tom.analysis.settings import USUAL, Kind, natural, number
+from tom.analysis.settings import USUAL, Kind, natural_sort_key, number
 from tom.envs import ROAD
 from tom.learners import SUBJECT
 
@@ -83,7 +83,7 @@ def styles_of(
         offline = {kind for env, kind in groups if env == ROAD}  # where the paper's is the main one
         return {kind: _style(kind, _title(kind, kinds), kind in offline) for kind in kinds}
     values = [kind for kind in kinds if not kind.learner]
-    values.sort(key=lambda kind: natural(" ".join(kind)))
+    values.sort(key=lambda kind: natural_sort_key(" ".join(kind)))
     # Seeds are numbers without a meaning.
     ordered = by != "seed" and all(number(kind, by) is not None for kind in values)
     colours = ramp(len(values), mode) if ordered else QUALITATIVE

@@ -72,7 +72,7 @@ def value_of(key: str, read: Callable[[list[str]], T], owner: object = None) -> 
 
 
 def get_all(key: str, allowed: Callable[[str], bool] = bool) -> list[str]:
-    """A choice without a widget that is its words, without those that are not `among`."""
+    """A choice without a widget that is its words, without those that are not `allowed`."""
     found = [word for word in value_of(key, list) if allowed(word)]
     write(key, found)
     return found

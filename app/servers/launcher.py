@@ -140,7 +140,7 @@ def run(requested: Links, *, browser: bool) -> int:
 
 @contextmanager
 def serving(requested: Links, stopping: Event) -> Iterator[tuple[Links, Server | None]]:
-    """The links and the healthy page server of a studio, as `requested`; None if that did not start.
+    """The links and the healthy page server of a studio as `requested`; None if it did not start.
 
     Raises UserError if it cannot listen where it should.
     """
@@ -163,7 +163,7 @@ def serving(requested: Links, stopping: Event) -> Iterator[tuple[Links, Server |
 
 
 def with_port_and_key(requested: Links, folder: str) -> Links:
-    """The links of a studio as `requested`, with a port (that of `requested` must be free) and a key.
+    """The links `requested`, with a key and a port; a requested port must be free.
 
     Raises UserError if it cannot listen on its host and port.
     """

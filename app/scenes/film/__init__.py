@@ -222,7 +222,7 @@ def document(title: str, script: str, data: dict[str, Any], learner: str, mode: 
     )
 
 
-def ghosts(
+def ghost_film(
     robot: tuple[Task, Model],
     arrays: dict[str, NDArray],
     factor: float,

@@ -20,7 +20,7 @@ from app.data.why import Why
 from app.figures.why import NAMES, error_bars, factor_text, rollout_lines, waterfall
 from app.parts import address, jobs, widgets
 from app.parts.plot import chart
-from app.scenes.film import ghosts
+from app.scenes.film import ghost_film
 from app.theme import learner_label
 from tom.analysis.brush import FACTORS
 from tom.envs import ROAD, is_code
@@ -275,7 +275,7 @@ def _brushed(run: RunReader, brushed: Brushed) -> None:
             st.caption("No ghosts: there is no robot to draw.")
             return
         name, drawn = f"region {factor_text(factor)}", (task, model)
-        page = ghosts(drawn, brushed.ghosts, factor, name, run.learner, session.mode())
+        page = ghost_film(drawn, brushed.ghosts, factor, name, run.learner, session.mode())
         st.iframe(page, height=BRUSH_HEIGHT, alt="Ghosts of two models")
         st.caption(
             "An evaluation episode at a quarter of real time, and its prediction by two models, "

@@ -21,7 +21,7 @@ from tom.analysis.curves import Group
 from tom.analysis.scores import (
     HEIGHT,
     SCORES,
-    begun,
+    all_have_started,
     common_start,
     common_step,
     interval,
@@ -60,7 +60,7 @@ def draw(scope: Scope) -> None:
         st.info("None of these runs has been evaluated yet.")
         return
     until = common_step(curve for group in every for curve in group.curves)
-    grouped = [group for group in every if begun(group.curves, until)]
+    grouped = [group for group in every if all_have_started(group.curves, until)]
     if not grouped:
         st.info(f"Nothing was recorded up to step {until:,.0f}, where the first run ends.")
         return

@@ -11,7 +11,7 @@ from studio_pages import draw
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import readers
-from app.scenes.film import cinema, ghosts, has_story, robot_shapes, story
+from app.scenes.film import cinema, ghost_film, has_story, robot_shapes, story
 from app.servers.cinema import film_tab, video
 from tom.envs import task
 from tom.envs.scene import model
@@ -70,7 +70,7 @@ def test_ghosts_stand_beside_the_episode() -> None:
     qpos = np.zeros((5, 6), np.float32)
     qpos[:, 1] = 1.25
     kept = {"real": qpos, "x1": qpos, "x0": qpos, "dt": np.array(0.008)}
-    page = ghosts((task("hopper"), model("hopper")), kept, 0.0, "region x 0", "tom", "light")
+    page = ghost_film((task("hopper"), model("hopper")), kept, 0.0, "region x 0", "tom", "light")
     assert page.count('"name":') == 3
     assert "region x 0" in page
 

@@ -9,7 +9,7 @@ from loops import loaded
 
 from tom.data.unpack import read_arrays
 from tom.errors import UserError
-from tom.own_loop.live import _Live, weigh_live
+from tom.own_loop.live import _LearnerRecord, weigh_live
 from tom.own_loop.run import OwnRun, record
 from tom.record import RunReader, layout
 from tom.record.integrity import verify
@@ -132,13 +132,13 @@ def test_live_weights_of_rows_that_were_cut_out_of_the_record_go(tmp_path: Path)
             run.transitions(obs, np.zeros((2, 1)), np.zeros(2), obs + 0.1, no, ended)
         run.policy(run.step, act)
 
-    def weigh(live: _Live) -> None:
+    def weigh(live: _LearnerRecord) -> None:
         source = RunReader(tmp_path / "mine")
         policy = read_arrays(source.path / layout.policy(source.policy_steps()[-1]))
         live.weigh(*source.buffer(), policy)
 
     with record("mine", env="Pendulum-v1", store=tmp_path, envs=2) as run:
-        live = _Live(RunReader(run.path), "pmac", 100, run.began_at)
+        live = _LearnerRecord(RunReader(run.path), "pmac", 100, run.began_at)
         with live.recorder:
             for step in (180, 300):
                 hand_in_until(run, step)
@@ -147,6 +147,6 @@ def test_live_weights_of_rows_that_were_cut_out_of_the_record_go(tmp_path: Path)
     resume = {"resume": "auto", "step": 260}
     with record("mine", env="Pendulum-v1", store=tmp_path, envs=2, **resume) as run:
         assert run.step == 260
-        live = _Live(RunReader(run.path), "pmac", 100, run.began_at)
+        live = _LearnerRecord(RunReader(run.path), "pmac", 100, run.began_at)
         with live.recorder:  # of the 250 rows that were weighed some had a number above 260
             assert RunReader(live.recorder.writer.path).snapshot_steps() == [90]
