@@ -33,10 +33,10 @@ def main(argv: Sequence[str] | None = None) -> int:
                 raise UserError(f"cannot write into {there}: name another folder")
         if args.screenshots:
             from app.servers.browser import (
-                take,  # needs playwright, which only the test extra has
+                take_pictures,  # needs playwright, which only the test extra has
             )
 
-            return take(store, args.screenshots)
+            return take_pictures(store, args.screenshots)
         if args.cinema:
             from app.servers import cinema  # needs playwright, too
 

@@ -10,7 +10,7 @@ from tom.machine.address import refusal
 
 KEY = "Tom-Studio-Key"
 """the header with the key that the browser gave"""
-OFFERED = "sec-websocket-protocol"
+PROTOCOLS = "sec-websocket-protocol"
 PREFIX = "tom-studio-key."
 """prefix of the key in the websocket protocols; a key in the address would appear in logs"""
 POLICY = "frame-ancestors 'self'; connect-src 'self' data: blob:"
@@ -54,11 +54,13 @@ class Guard:
 
 def _with_key(scope: Scope) -> Scope:
     """The scope of a socket, with the key moved from its protocols to a header."""
-    offered = [name.strip() for name in ",".join(Headers(scope=scope).getlist(OFFERED)).split(",")]
+    offered = [
+        name.strip() for name in ",".join(Headers(scope=scope).getlist(PROTOCOLS)).split(",")
+    ]
     keys = [name.removeprefix(PREFIX) for name in offered if name.startswith(PREFIX)]
     others = ", ".join(name for name in offered if not name.startswith(PREFIX))
-    gone = {KEY.lower().encode(), OFFERED.encode()}
-    headers = [(name, value) for name, value in scope["headers"] if name not in gone]
-    headers.append((OFFERED.encode(), others.encode("latin-1")))
+    replaced = {KEY.lower().encode(), PROTOCOLS.encode()}
+    headers = [(name, value) for name, value in scope["headers"] if name not in replaced]
+    headers.append((PROTOCOLS.encode(), others.encode("latin-1")))
     headers += [(KEY.lower().encode(), key.encode("latin-1")) for key in keys[:1]]
     return {**scope, "headers": headers}

@@ -70,7 +70,7 @@ class Links:
         """The address of the pages."""
         return f"{self.root}{self.base.rstrip('/')}"
 
-    def opened(self, path: str = "") -> str:
+    def user_address(self, path: str = "") -> str:
         """A page's address for the user, with the key if the user may act."""
         fragment = f"#key={self.key}" if self.local_only else ""
         return f"{self.address}/{path}{fragment}"

@@ -3,7 +3,7 @@
 import plotly.graph_objects as go
 
 from app.figures.curves import group_curves
-from app.figures.weights import over_fits, probe_profiles, weight_profile
+from app.figures.weights import median_profiles, over_fits, weight_profile
 from tom.analysis.curves import Curve, curve_points, groups
 from tom.frames import Run, Weighing
 
@@ -25,7 +25,7 @@ def figures(shown: Run | Weighing, height: int) -> Figures:
     """The figures that the pages show of a run or a weighing."""
     if isinstance(shown, Weighing):
         share = shown.random_share
-        return Figures(profiles=probe_profiles(shown.by_learner(), share, height))
+        return Figures(profiles=median_profiles(shown.by_learner(), share, height))
     reader, found = shown.reader, Figures()
     env, learner, profiles = reader.env, reader.learner, reader.profiles()
     points = curve_points(shown.metrics.reset_index(), RETURN)

@@ -49,7 +49,7 @@ class View:
         view = self.load()
         shown = scope.draw()
         view.page(shown)
-        _read_ahead(shown.asked)
+        _read_ahead(shown.chosen_id)
 
 
 AHEAD = "read ahead"
@@ -69,7 +69,7 @@ BARS = ((5, NEUTRAL), (8, NEUTRAL), (6, NEUTRAL), (20, LEARNER_COLOURS[SUBJECT])
 """the studio's logo: heights and colours of a weight profile"""
 
 
-def drawing(width: int, name: str = "") -> str:
+def logo_svg(width: int, name: str = "") -> str:
     """The weight profile as SVG. Streamlit would load a named icon from the internet."""
     bars = "".join(
         f'<rect x="{2 + 6 * i}" y="{22 - h}" width="4.4" height="{h}" rx="1" fill="{colour}"/>'
@@ -79,8 +79,8 @@ def drawing(width: int, name: str = "") -> str:
     return f'<svg xmlns="http://www.w3.org/2000/svg" {box}>{bars}{name}</svg>'
 
 
-ICON = drawing(27)
-LOGO = drawing(
+ICON = logo_svg(27)
+LOGO = logo_svg(
     132,
     '<text x="32" y="18" font-family="Source Sans, sans-serif" font-size="17" '
     # The same width in any font, because the named font may be missing.
@@ -117,26 +117,26 @@ def run() -> None:
     """Draw the page in the address, or the empty store's page if there are no runs."""
     st.set_page_config(page_title="TOM Studio", page_icon=ICON, layout="wide")
     st.logo(LOGO, size="medium")
-    pages = [_listed(view, view.ICON, first=i == 0) for i, view in enumerate(views())]
+    pages = [_streamlit_page(view, view.ICON, first=i == 0) for i, view in enumerate(views())]
     chosen = st.navigation(pages, position="top")
     st.session_state["pages"] = {page.url_path: page for page in pages}
-    address.visit(chosen.url_path)
+    address.enter_page(chosen.url_path)
     st.html(f'<h1 class="heard">{html.escape(chosen.title)}</h1>')  # the menu says it to the eye
     draw(chosen.run)
     task = st.session_state.get("task shown", "")
     st.set_page_config(page_title=" - ".join(filter(None, (chosen.title, task, "TOM Studio"))))
-    session.drawn()
+    session.note_drawn()
     FIRST.set()
 
 
-def _listed(view: View | Page, icon: str, first: bool) -> StreamlitPage:
+def _streamlit_page(view: View | Page, icon: str, first: bool) -> StreamlitPage:
     """The page as Streamlit lists it. A plug-in's icon that is none must not stop the others."""
     try:
         return st.Page(view.page, title=view.TITLE, icon=icon, url_path=view.PATH, default=first)
     except StreamlitAPIException:
         if icon == PLAIN_ICON:
             raise
-        return _listed(view, PLAIN_ICON, first)
+        return _streamlit_page(view, PLAIN_ICON, first)
 
 
 def draw(page: Callable[[], None]) -> None:
@@ -147,5 +147,5 @@ def draw(page: Callable[[], None]) -> None:
         from app.parts import start
 
         if not weighings.datasets(store):
-            page = start.first_page
+            page = start.draw_first_page
     page()

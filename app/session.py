@@ -30,7 +30,7 @@ def mode() -> Mode:
     return cast(Mode, shown)
 
 
-def drawn() -> None:
+def note_drawn() -> None:
     """Note that a page of this tab has been drawn to its end."""
     st.session_state[DRAWN] = True
 

@@ -27,9 +27,9 @@ def plotly(text: object) -> str:
     return html.escape(" ".join(str(text).split()))
 
 
-def whole(words: object) -> int | None:
+def parse_int(value: object) -> int | None:
     """The whole number that an address or a name holds in digits; None if it holds none."""
-    digits = str(words)
+    digits = str(value)
     # Not `isdigit`, which takes a superscript; Python refuses to read thousands of digits.
     return int(digits) if digits.isdecimal() and len(digits) <= DIGITS else None
 
@@ -48,7 +48,7 @@ _ENTRY = re.compile(r"- \*\*(.+?)\*\*: ((?:.|\n(?!- ))+)")
 _WORD = re.compile(rf"(?<![\w/\[])({'|'.join(LINKED)})(?![\w/\]])", re.IGNORECASE)
 
 
-def linked(markdown: str) -> str:
+def with_glossary_links(markdown: str) -> str:
     """The Markdown text with a link where each of `LINKED` stands first."""
     if not GLOSSARY.is_file():
         return markdown

@@ -32,7 +32,7 @@ SURFACE: dict[Mode, str] = {"light": "#f4f6fa", "dark": "#1b202b"}
 TEXT: dict[Mode, str] = {"light": "#1c2330", "dark": "#e8ecf4"}
 BORDER: dict[Mode, str] = {"light": "#dde2ec", "dark": "#2c3342"}
 
-LINES = 3.05
+LEAST_CONTRAST = 3.05
 """the least contrast of a line with either background: 3:1, with room for rounding"""
 
 # Buttons and sliders: no learner's colour, so that colour always means data.
@@ -42,7 +42,7 @@ LINK: dict[Mode, str] = {"light": ACCENT["light"], "dark": "#8fa3e0"}
 Scale = list[tuple[float, str]]
 
 
-def _even(*colours: str) -> Scale:
+def _evenly_spaced(*colours: str) -> Scale:
     """A scale of evenly spaced colours."""
     return [(i / (len(colours) - 1), colour) for i, colour in enumerate(colours)]
 
@@ -50,8 +50,8 @@ def _even(*colours: str) -> Scale:
 # Weight relative to uniform. Rows that count more have stronger colours: pale blue counts less,
 # the page's own tone as much, strong orange more.
 DIVERGING: dict[Mode, Scale] = {
-    "light": _even("#8fb4ea", "#c3d7f3", "#f3f1ed", "#ec9067", "#8c2304"),
-    "dark": _even("#2a5496", "#26406b", "#272b35", "#c8541f", "#ffc48f"),
+    "light": _evenly_spaced("#8fb4ea", "#c3d7f3", "#f3f1ed", "#ec9067", "#8c2304"),
+    "dark": _evenly_spaced("#2a5496", "#26406b", "#272b35", "#c8541f", "#ffc48f"),
 }
 # The same for solid things under light and for points: like areas, but far from the background
 # at every weight.
@@ -61,12 +61,12 @@ COLUMNS: dict[Mode, Scale] = {
 }
 # The map of a buffer: the middle is far from the page's background, which means no rows.
 BLUE_TO_ORANGE: dict[Mode, Scale] = {
-    "light": _even("#0b3c8c", "#4f8fe0", "#d3d0cb", "#ee7f3c", "#a82a00"),
-    "dark": _even("#1c57b8", "#4a83d6", "#5a606d", "#e8762f", "#ffd2a1"),
+    "light": _evenly_spaced("#0b3c8c", "#4f8fe0", "#d3d0cb", "#ee7f3c", "#a82a00"),
+    "dark": _evenly_spaced("#1c57b8", "#4a83d6", "#5a606d", "#e8762f", "#ffd2a1"),
 }
 RISING: dict[Mode, Scale] = {
-    "light": _even("#440154", "#3b528b", "#21918c", "#5ec962", "#d8c916"),
-    "dark": _even("#5a3a8f", "#4a70b5", "#21a18c", "#7ad151", "#fde725"),
+    "light": _evenly_spaced("#440154", "#3b528b", "#21918c", "#5ec962", "#d8c916"),
+    "dark": _evenly_spaced("#5a3a8f", "#4a70b5", "#21a18c", "#7ad151", "#fde725"),
 }
 _RAMP: dict[Mode, tuple[float, float]] = {"light": (0.0, 0.6), "dark": (0.32, 1.0)}
 """the part of viridis that stands out from the page"""
@@ -109,7 +109,7 @@ def rgb(colour: str) -> tuple[int, int, int]:
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
-def mixed(colour: str, other: str, share: float) -> str:
+def mix(colour: str, other: str, share: float) -> str:
     """`#rrggbb` with a `share` of another colour in it."""
     parts = zip(rgb(colour), rgb(other), strict=True)
     return "#" + "".join(f"{round(a + share * (b - a)):02x}" for a, b in parts)
@@ -119,30 +119,36 @@ def mixed(colour: str, other: str, share: float) -> str:
 def shades(colour: str) -> list[str]:
     """The shades of a colour, from dark to pale, that a line may have on both backgrounds."""
     steps = np.linspace(0, 1, 51)
-    every = [mixed("#000000", colour, share) for share in steps]
-    every += [mixed(colour, "#ffffff", share) for share in steps[1:]]
-    return [one for one in every if min(contrast(one, b) for b in BACKGROUND.values()) >= LINES]
+    every = [mix("#000000", colour, share) for share in steps]
+    every += [mix(colour, "#ffffff", share) for share in steps[1:]]
+    return [
+        one for one in every if min(contrast(one, b) for b in BACKGROUND.values()) >= LEAST_CONTRAST
+    ]
 
 
 def contrast(first: str, second: str) -> float:
     """The contrast of two colours, from 1 to 21 (WCAG 2)."""
-    low, high = np.sort(light(np.array([rgb(first), rgb(second)])) @ (0.2126, 0.7152, 0.0722))
+    low, high = np.sort(
+        linear_light(np.array([rgb(first), rgb(second)])) @ (0.2126, 0.7152, 0.0722)
+    )
     return float((high + 0.05) / (low + 0.05))
 
 
-def light(colours: NDArray) -> NDArray[np.float64]:
+def linear_light(colours: NDArray) -> NDArray[np.float64]:
     """sRGB colours, 0 to 255, as intensities of light, 0 to 1 (IEC 61966-2-1)."""
     share = np.asarray(colours, np.float64) / 255
     return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
 
 
-def faded(colour: str, alpha: float) -> str:
+def with_alpha(colour: str, alpha: float) -> str:
     """`#rrggbb` as a CSS colour of opacity `alpha`."""
     red, green, blue = rgb(colour)
     return f"rgba({red}, {green}, {blue}, {alpha:g})"
 
 
-def on_scale(share: NDArray[np.float64], scale: Sequence[tuple[float, str]]) -> NDArray[np.uint8]:
+def scale_colours(
+    share: NDArray[np.float64], scale: Sequence[tuple[float, str]]
+) -> NDArray[np.uint8]:
     """Positions in [0, 1] as colours: (...,) -> (..., 3), linear between the scale's stops."""
     stops = np.array([at for at, _ in scale])
     colours = np.array([rgb(colour) for _, colour in scale], np.float64)

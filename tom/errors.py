@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
-OF_USERS = (Exception, SystemExit)
+USER_CODE_ERRORS = (Exception, SystemExit)
 """What code of the user's may raise: a script that is imported may end the program."""
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

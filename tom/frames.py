@@ -12,13 +12,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.analysis.imagine import step_errors, stored_model
-from tom.analysis.ordered_data import OrderedData, find_run, in_own_units
+from tom.analysis.ordered_data import OrderedData, find_run, to_env_units
 from tom.analysis.planes import row_table, transition_table
 from tom.analysis.weighing import Weighed, plan_weighing
 from tom.data.sampling import bin_means
 from tom.data.transitions import Transitions
 from tom.data.unpack import DAMAGE
-from tom.envs import ROAD, bring
+from tom.envs import ROAD, import_task
 from tom.errors import UserError, check_known, reason
 from tom.learners import WEIGHED_FIRST
 from tom.policy.stored import distances, read_policy
@@ -71,7 +71,7 @@ class Run:
         """
         rows = self.reader.buffer()[0]
         own = self.reader.own_loop and len(rows)
-        return transition_table(in_own_units(self.reader, rows) if own else rows)
+        return transition_table(to_env_units(self.reader, rows) if own else rows)
 
     @cached_property
     def live(self) -> dict[str, "Run"]:
@@ -277,7 +277,7 @@ def weigh(
     step of the policy in the task. Raises UserError, or ValidationError for a wrong setting.
     """
     begun = perf_counter()
-    bring(env)
+    import_task(env)
     plan = plan_weighing(
         str(data), str(policy), Store(Path(store)), env=env, step=step, preset=preset,
         collected_by=collected_by, settings=settings or {}, learners=learners, seeds=seeds,

@@ -107,7 +107,7 @@ METRICS: dict[str, str] = {
     "time/checkpoint_s": "seconds spent writing checkpoints so far",
 }
 
-OURS = frozenset(
+BUILT_IN = frozenset(
     name
     for name in ("env_step", *METRICS)
     if not name.startswith(("discriminator/", "dual/", "weights/raw_mean"))

@@ -69,31 +69,31 @@ class Offline:
                 yield Metrics(self.env_step, self.roll_out_model())
             self.optimise_policy()
             self.env_step += 1
-            yield from self.look()
+            yield from self.report_if_due()
             yield Tick(self.env_step, "optimise")
 
-    def look(self) -> Iterator[Event]:
+    def report_if_due(self) -> Iterator[Event]:
         """Evaluation, weights and model if they are due, and always at the last step.
 
         If it was not due at the last step, it does not change the state. So a run that gets more
         steps later equals one that had them from the beginning.
         """
         config = self.config
-        in_turn = self.env_step % config.fit_every == 0
-        evaluated = in_turn or self.env_step % config.evaluation.every == 0
+        fit_due = self.env_step % config.fit_every == 0
+        evaluated = fit_due or self.env_step % config.evaluation.every == 0
         if evaluated:
             yield from self.evaluate()
-        if in_turn:
-            yield from self.follow()
+        if fit_due:
+            yield from self.refit_and_record()
         elif self.env_step == config.steps:
             streams, weighting, model = self.streams.state_dict(), self.weighting, self.model
             if not evaluated:
                 yield from self.evaluate()
-            yield from self.follow()
+            yield from self.refit_and_record()
             self.streams.load_state_dict(streams)
             self.weighting, self.model = weighting, model
 
-    def follow(self) -> Iterator[Event]:
+    def refit_and_record(self) -> Iterator[Event]:
         """The record, after a new fit if the weights change with the value function."""
         if follows_value(self.config.learner):
             yield from self.fit(value_gradient=True)

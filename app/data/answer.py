@@ -61,9 +61,9 @@ def contrast(run: RunReader, step: int) -> Contrast | None:
     weighed = buffer.rows(run, step)
     if weighed is None:
         return None
-    names = dimension_names(run.env, weighed.rows, buffer.described(run))
+    names = dimension_names(run.env, weighed.rows, buffer.observation_names(run))
     plane = planes.contrast_of(weighed.rows, weighed.weight, names)
-    share = planes.explained(planes.of_rows(plane, weighed.rows), weighed.weight)
+    share = planes.explained_share(planes.of_rows(plane, weighed.rows), weighed.weight)
     largest = planes.loadings(plane.axes[:, 0], planes.feature_names(*names))
     return Contrast(run.seed, step, largest, share)
 
@@ -110,14 +110,14 @@ def where(side: Side) -> Answer:
             "Weights come with the first fit.",
         )  # fmt: skip
     newest = scores.interval(np.array([newest_share(one)[-1] for one in last]))
-    left = scores.interval(np.array([one.ess[-1] for one in last], np.float64))
+    ess = scores.interval(np.array([one.ess[-1] for one in last], np.float64))
     sentence = (
         f"{side.name} puts **{percent(newest.value, 0)}** of its weight on the newest fifth of its "
-        f"buffer{_spread(newest)}; equal weights would put 20 %. The effective sample is "
-        f"{percent(left.value, 0)} of the rows ({_count(len(last))}, last fit)."
+        f"buffer{_interval_text(newest)}; equal weights would put 20 %. The effective sample is "
+        f"{percent(ess.value, 0)} of the rows ({_count(len(last))}, last fit)."
     )
     if side.contrast is not None:
-        sentence += f" {_stands_out(side.contrast)}"
+        sentence += f" {_contrast_sentence(side.contrast)}"
     if newest.low > NEWEST or (len(last) == 1 and newest.value > 1.5 * NEWEST):
         return Answer("yes", "At new data", sentence)
     if newest.high < NEWEST or (len(last) == 1 and newest.value < 0.5 * NEWEST):
@@ -128,8 +128,8 @@ def where(side: Side) -> Answer:
 def on_road(name: str, frames: Sequence[pd.DataFrame]) -> Answer:
     """Where the runs' weights lie on road-and-rocks, whose rows have no age; by their metrics."""
     wanted = (frame.reindex(columns=list(ROAD_METRICS)) for frame in frames)
-    of_runs = (frame.dropna(subset=ROAD_METRICS[0])[-1:].to_numpy(np.float64) for frame in wanted)
-    found = np.concatenate([np.empty((0, 2)), *of_runs])  # (runs, 2)
+    last_rows = (frame.dropna(subset=ROAD_METRICS[0])[-1:].to_numpy(np.float64) for frame in wanted)
+    found = np.concatenate([np.empty((0, 2)), *last_rows])  # (runs, 2)
     if not len(found):
         return Answer("unknown", "Cannot be told yet", f"{name} has not fitted a model yet.")
     share = scores.interval(found[:, 0])
@@ -141,8 +141,9 @@ def on_road(name: str, frames: Sequence[pd.DataFrame]) -> Answer:
         else "counts infinitely more than"
     )
     sentence = (
-        f"{name} puts **{percent(share.value, 0)}** of its weight on the road{_spread(share)}; a "
-        f"random transition there {counts} one on the rocks (median, {_count(len(found))})."
+        f"{name} puts **{percent(share.value, 0)}** of its weight on the road"
+        f"{_interval_text(share)}; a random transition there {counts} one on the "
+        f"rocks (median, {_count(len(found))})."
     )
     if (ratio > 1).all():
         return Answer("yes", "At the road", sentence)
@@ -151,15 +152,15 @@ def on_road(name: str, frames: Sequence[pd.DataFrame]) -> Answer:
     return Answer("unclear", "At neither road nor rocks", sentence)
 
 
-def _stands_out(seen: Contrast) -> str:
+def _contrast_sentence(contrast: Contrast) -> str:
     """Which part of the buffer has the weight, in names of dimensions."""
-    fit = f"seed {seen.seed}, step {seen.env_step:,}"
-    if seen.explained < STANDS_OUT:
+    fit = f"seed {contrast.seed}, step {contrast.env_step:,}"
+    if contrast.explained < STANDS_OUT:
         return f"By state and action, no part of the buffer stands out ({fit})."
     ways = " and ".join(
-        f"{name} is {'higher' if sign > 0 else 'lower'}" for name, sign in seen.loadings.items()
+        f"{name} is {'higher' if sign > 0 else 'lower'}" for name, sign in contrast.loadings.items()
     )
-    share = percent(seen.explained, 0)
+    share = percent(contrast.explained, 0)
     return (
         f"It weighs most where {ways}. Two directions of state, action and next state explain "
         f"{share} of the variance of the log weight ({fit})."
@@ -174,8 +175,10 @@ def on_policy(side: Side) -> Answer:
             "its buffer comes no nearer to the policy: a footprint of 1.",
         )  # fmt: skip
     # The median over a run's fits that weigh and whose footprint says something.
-    of_runs = [one.footprint[one.telling & (one.step >= side.weighs_from)] for one in side.exams]
-    measured = medians(of_runs)
+    footprints = [
+        one.footprint[one.informative & (one.step >= side.weighs_from)] for one in side.exams
+    ]
+    measured = medians(footprints)
     if not len(measured):
         return Answer(
             "unknown", "Cannot be told yet",
@@ -187,7 +190,7 @@ def on_policy(side: Side) -> Answer:
     left = percent(footprint.value, 0)
     sentence = (
         f"Weighted by {side.name}, the buffer keeps **{left}** of its distance to what the "
-        f"policy does next{_spread(footprint, len(measured))}; 100 % means no nearer than "
+        f"policy does next{_interval_text(footprint, len(measured))}; 100 % means no nearer than "
         "without weights, 0 % the policy itself."
     )
     if len(measured) == 1:
@@ -203,7 +206,7 @@ def on_policy(side: Side) -> Answer:
 
 def helps(one: Side, other: Side) -> Answer:
     """Whether runs of `one` return more, and err less where their policy goes, than of `other`."""
-    error = _error(one, other)
+    error = _error_sentence(one, other)
     pairs = [[c for c in side.returns if len(c.step)] for side in (one, other)]
     if not all(pairs):
         empty = one if not pairs[0] else other
@@ -213,22 +216,22 @@ def helps(one: Side, other: Side) -> Answer:
     # The step that enough seeds of each reach, so that a run that has just begun changes nothing.
     last = [last_steps((c.seed, float(c.step[-1])) for c in curves) for curves in pairs]
     until = min(steps[-min(RANKED, len(steps))] for steps in last)
-    begun = [
+    comparable = [
         [curve for curve in curves if curve.step[0] <= until <= curve.step[-1]] for curves in pairs
     ]
-    if not all(begun):
+    if not all(comparable):
         return Answer(
             "unknown", "Cannot be told yet", f"The runs have no step in common yet. {error}"
         )
-    since = scores.common_start(curve for curves in begun for curve in curves)
+    since = scores.common_start(curve for curves in comparable for curve in curves)
     final, *others = (
-        [scores.scores_of(curves, name, until, since) for curves in begun]
+        [scores.scores_of(curves, name, until, since) for curves in comparable]
         for name in (scores.FINAL, scores.BEST, scores.HEIGHT)
     )
     means = [score(float(values.mean())) for values in final]
     counts = f"{len(final[0])} and {len(final[1])} runs"
     at = f"at step {until:,.0f}"
-    fewest = min(len({c.seed for c in curves}) for curves in begun)
+    fewest = min(len({c.seed for c in curves}) for curves in comparable)
     if fewest < RANKED:
         return Answer(
             "unknown", f"Cannot be told yet: {fewest} of {RANKED} seeds",
@@ -255,7 +258,7 @@ def helps(one: Side, other: Side) -> Answer:
     return Answer("no", "No, it returns less", sentence, corrected)
 
 
-def _error(one: Side, other: Side) -> str:
+def _error_sentence(one: Side, other: Side) -> str:
     """A sentence on the models' errors in the exams; empty without exams of both."""
     result = ranking([*one.exams, *other.exams], max(one.weighs_from, other.weighs_from))
     typical = {standing.name: standing for standing in result.standings}
@@ -275,7 +278,7 @@ def _error(one: Side, other: Side) -> str:
     return f"Its model errs {less} where its policy goes: {numbers} (p {p:.2g})."
 
 
-def _spread(interval: Interval, n: int = 0) -> str:
+def _interval_text(interval: Interval, n: int = 0) -> str:
     """The interval, and the number of runs unless it is said elsewhere, in brackets."""
     parts = [_count(n)] if n else []
     if np.isfinite(interval.low):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.data.cache import cached
-from app.data.readers import profiles, reader
+from app.data.readers import fresh_reader, profiles
 from tom.data.transitions import Transitions, episodes
 from tom.envs import ROAD, Task
 from tom.errors import UserError
@@ -39,7 +39,7 @@ class Rows:
     rows: Transitions  # numpy arrays
     version: NDArray[np.int64]  # (N,) which policy collected it; 0 is exploration
     episode: NDArray[np.int64]  # (N,) number of its episode
-    place: NDArray[np.int64]  # (N,) steps since its episode began
+    episode_step: NDArray[np.int64]  # (N,) steps since its episode began
     episode_return: Floats  # (N,) of its episode; of a cut episode up to the cut
     weight: Floats  # (N,) mean 1
 
@@ -92,7 +92,7 @@ def windows(ended: NDArray[np.bool_], rows: Sequence[int]) -> NDArray[np.int64]:
 
 
 def poses(
-    known: Task, recorded: Transitions, state: dict[str, NDArray], rows: NDArray[np.int64]
+    task: Task, recorded: Transitions, state: dict[str, NDArray], rows: NDArray[np.int64]
 ) -> NDArray[np.float32]:
     """Joint positions (R, W, nq) of the recorded states at row numbers (R, W).
 
@@ -101,10 +101,10 @@ def poses(
     """
     if "qpos" in state:
         qpos = state["qpos"][rows].astype(np.float32)
-        roots = known.root_dims or 0
+        roots = task.root_dims or 0
         qpos[..., :roots] -= qpos[:, WINDOW : WINDOW + 1, :roots]
         return qpos
-    return known.qpos_from_obs(np.asarray(recorded.obs, np.float32)[rows])
+    return task.qpos_from_obs(np.asarray(recorded.obs, np.float32)[rows])
 
 
 SHARED_ROWS = 5000
@@ -119,19 +119,19 @@ def has_rows(run: RunReader) -> bool:
 @cached("buffer")
 def length(run: RunReader) -> int:
     """The number of rows of a run's recorded buffer, all that were ever collected."""
-    return reader(run).buffer_length()
+    return fresh_reader(run).buffer_length()
 
 
 @cached("buffer")
 def recorded(run: RunReader) -> Recorded:
     """A run's whole buffer, without the simulator's states and the actions' Gaussians."""
-    return reader(run).recorded(states=False, behaviour=False)
+    return fresh_reader(run).recorded(states=False, behaviour=False)
 
 
 @cached("buffer")
-def with_states(run: RunReader) -> Recorded:
+def recorded_with_states(run: RunReader) -> Recorded:
     """A run's whole buffer for a scene of its robots, without the actions' Gaussians."""
-    return reader(run).recorded(behaviour=False)
+    return fresh_reader(run).recorded(behaviour=False)
 
 
 def rows(run: RunReader, step: int) -> Rows | None:
@@ -146,7 +146,7 @@ def weighed_rows(run: RunReader, weight: NDArray, end: int) -> Rows | None:
     if first < 0 or end > len(whole.rows) or not len(weight):
         return None
     kept = slice(first, end)
-    episode, place, returns = in_episodes(run)
+    episode, place, returns = row_episodes(run)
     return Rows(
         first, whole.rows.numpy()[kept], whole.version[kept], episode[kept], place[kept],
         returns[kept], np.asarray(weight, np.float64),
@@ -154,7 +154,7 @@ def weighed_rows(run: RunReader, weight: NDArray, end: int) -> Rows | None:
 
 
 @cached("buffer")
-def in_episodes(run: RunReader) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
+def row_episodes(run: RunReader) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
     """Of each recorded row its episode, its place there and the episode's return, (N,) each."""
     return episodes(recorded(run).rows.numpy())
 
@@ -162,16 +162,16 @@ def in_episodes(run: RunReader) -> tuple[NDArray[np.int64], NDArray[np.int64], F
 @cached("snapshot")
 def fit_weight(run: RunReader, step: int) -> NDArray[np.float32]:
     """The weights (N,) of a fit."""
-    return reader(run).snapshot(step)["weight"].to_numpy(np.float32)
+    return fresh_reader(run).snapshot(step)["weight"].to_numpy(np.float32)
 
 
-def moments(run: RunReader, rows: Sequence[int]) -> Floats:
+def observations_around(run: RunReader, rows: Sequence[int]) -> Floats:
     """Observations (R, 2 WINDOW + 1, O) around the recorded rows with these numbers."""
     whole = recorded(run).rows
     return np.asarray(whole.obs, np.float64)[windows(whole.ended(), rows)]
 
 
-def described_task(run: RunReader) -> Task | None:
+def find_task(run: RunReader) -> Task | None:
     """The run's task; None if its folder does not say what it is."""
     try:
         return task_of(run)
@@ -179,21 +179,23 @@ def described_task(run: RunReader) -> Task | None:
         return None
 
 
-def described(run: RunReader) -> tuple[str, ...]:
+def observation_names(run: RunReader) -> tuple[str, ...]:
     """The recorded names of the run's observation dimensions; empty if there are none."""
-    known = None if run.env == ROAD else described_task(run)
-    return () if known is None else known.obs_names
+    task = None if run.env == ROAD else find_task(run)
+    return () if task is None else task.obs_names
 
 
-def named(run: RunReader) -> tuple[Sequence[str], Sequence[str]]:
+def obs_and_action_names(run: RunReader) -> tuple[Sequence[str], Sequence[str]]:
     """The names of the dimensions of a run's observations and actions."""
-    return dimension_names(run.env, recorded(run).rows, described(run))
+    return dimension_names(run.env, recorded(run).rows, observation_names(run))
 
 
-def drawn(run: RunReader) -> bool:
+def has_robot(run: RunReader) -> bool:
     """Whether there is a robot to draw in the states of the run's buffer."""
-    known = None if scene_of(run) is None else described_task(run)
-    return known is not None and (known.root_dims is not None or bool(with_states(run).state))
+    task = None if scene_of(run) is None else find_task(run)
+    return task is not None and (
+        task.root_dims is not None or bool(recorded_with_states(run).state)
+    )
 
 
 def has_model(run: RunReader) -> bool:
@@ -228,9 +230,9 @@ def stored_policy(run: RunReader, step: int | None = None) -> "StoredPolicy | No
     from tom.analysis.weighing import load_policy
     from tom.policy.stored import StoredPolicy
 
-    known, store = described_task(run), Store(run.home.parent)
+    task, store = find_task(run), Store(run.home.parent)
     try:
-        found = None if known is None else load_policy(str(run.path), store, known, step)
+        found = None if task is None else load_policy(str(run.path), store, task, step)
     except UserError:
         return None
     return found if isinstance(found, StoredPolicy) else None

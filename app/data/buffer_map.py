@@ -11,14 +11,14 @@ from cachetools import LRUCache
 from numpy.typing import NDArray
 
 from app.data import buffer, columns, weighings
-from app.data.cache import LOCK, cached, offer
+from app.data.cache import LOCK, cached, publish_array
 from app.data.columns import AGE, DISTANCE, ERROR, ERROR_ROWS, RANK, WEIGHT, Column
-from app.data.readers import profiles, weighed
+from app.data.readers import first_weight_reader, profiles
 from app.data.selection import Mask, Selection, between, inside
 from app.data.weighings import Dataset, Weighing
 from app.theme import learner_label
 from tom.analysis import planes, why
-from tom.analysis.brush import AS_IT_IS
+from tom.analysis.brush import UNCHANGED
 from tom.analysis.imagine import StoredModel
 from tom.dynamics.neural import NeuralDynamics
 from tom.envs import ROAD
@@ -33,10 +33,10 @@ from tom.spread import spread
 CONTRAST, PRINCIPAL, POLICY, MODEL, TWO = "contrast", "principal", "policy", "model", "two"
 WEIGHINGS = 3
 """maximum number of weighings, and of brushes, to choose from, the newest"""
-JUDGED = 50_000
+SAMPLED_ROWS = 50_000
 """maximum number of rows from which the share that a plane explains is computed"""
 NEAREST = 10
-_SEEN: LRUCache[tuple[Path, str], planes.Plane] = LRUCache(1000)
+_LAST_PLANES: LRUCache[tuple[Path, str], planes.Plane] = LRUCache(1000)
 """planes by run and key: an outline stays when a training has replaced the fit of its plane"""
 
 
@@ -63,14 +63,14 @@ class Source:
         return f"{self.weighing.path}:{self.column}" if self.weighing else ""
 
 
-def fits(run: RunReader) -> dict[str, Source]:
+def fit_sources(run: RunReader) -> dict[str, Source]:
     """The weights of a run's own fits by their step, in order; those it lacks rows of left out."""
     length = buffer.length(run)
-    found = {str(step): _fit(run, step, length) for step in run.snapshot_steps()}
+    found = {str(step): _fit_source(run, step, length) for step in run.snapshot_steps()}
     return {step: source for step, source in found.items() if source is not None}
 
 
-def _fit(run: RunReader, step: int, length: int) -> Source | None:
+def _fit_source(run: RunReader, step: int, length: int) -> Source | None:
     weight = buffer.fit_weight(run, step)
     end = profiles(run).rows_at(step)
     if not 0 < len(weight) <= end <= length:
@@ -79,7 +79,7 @@ def _fit(run: RunReader, step: int, length: int) -> Source | None:
     return Source(str(step), weight, step, end, version, run.learner)
 
 
-def others(run: RunReader) -> dict[str, Source]:
+def weighing_sources(run: RunReader) -> dict[str, Source]:
     """What `tom weigh` and brushes made of a run's buffer, by label: the newest."""
     length = buffer.length(run)
     made, brushes = (weighings.of_run(run, length, brush=brush) for brush in (False, True))
@@ -96,7 +96,7 @@ def others(run: RunReader) -> dict[str, Source]:
         )
         for weighing in (*made[:WEIGHINGS], *brushes[:WEIGHINGS])
         for (learner, seed), weight in weighing.weights().items()
-        if not (weighing.brush and learner == called(AS_IT_IS))
+        if not (weighing.brush and learner == called(UNCHANGED))
         and len(weight) <= weighing.end <= length
         for label in [f"{learner_label(learner)} s{seed}, {weighing.name}"]
     }
@@ -104,7 +104,7 @@ def others(run: RunReader) -> dict[str, Source]:
 
 def sources(run: RunReader) -> dict[str, Source]:
     """All weights of a run's buffer."""
-    return ({} if isinstance(run, Dataset) else fits(run)) | others(run)
+    return ({} if isinstance(run, Dataset) else fit_sources(run)) | weighing_sources(run)
 
 
 @cached("buffer")
@@ -125,7 +125,7 @@ def knows_policy(run: RunReader, source: Source) -> bool:
 
 
 @dataclass(frozen=True)
-class Placed:
+class RowsOnPlane:
     """A plane and the place of every recorded row on it."""
 
     names: tuple[str, str]
@@ -143,23 +143,23 @@ class Placed:
         return cls(names, xy, (x, y), codes)
 
 
-def placed(run: RunReader, key: str) -> Placed | None:
+def rows_on_plane(run: RunReader, key: str) -> RowsOnPlane | None:
     """The plane of a key; None if there is none.
 
     A key is `contrast@WEIGHTS` or `principal@WEIGHTS`, where WEIGHTS are a fit's step or the label
     of a weighing; `policy@`; `model@`; or `two@NAME|NAME`, dimensions by their names.
     """
-    return _placed(run, key, _fitted(run, key))
+    return _rows_on_plane(run, key, _plane_source(run, key))
 
 
-def _fitted(run: RunReader, key: str) -> Source | None:
+def _plane_source(run: RunReader, key: str) -> Source | None:
     """The weights that a plane is fitted to; None for a plane of others."""
     kind, _, of = key.partition("@")
     return sources(run).get(of) if kind in (CONTRAST, PRINCIPAL) else None
 
 
 @cached("buffer", "model")
-def _placed(run: RunReader, key: str, source: Source | None) -> Placed | None:
+def _rows_on_plane(run: RunReader, key: str, source: Source | None) -> RowsOnPlane | None:
     kind, _, of = key.partition("@")
     if kind == TWO:
         x, _, y = of.partition("|")
@@ -167,18 +167,18 @@ def _placed(run: RunReader, key: str, source: Source | None) -> Placed | None:
         if not {x, y} <= known:
             return None
         pair = [columns.values(run, name).astype(np.float32) for name in (x, y)]
-        return Placed.of(key, (x, y), np.stack(pair, 1))
+        return RowsOnPlane.of(key, (x, y), np.stack(pair, 1))
     if kind in (POLICY, MODEL):
-        return _of_network(run, kind, key)
+        return _network_plane(run, kind, key)
     if source is not None:
         found = _plane(run, kind, source)
         with LOCK:
-            _SEEN[run.path, key] = found
+            _LAST_PLANES[run.path, key] = found
     with LOCK:
-        plane = _SEEN.get((run.path, key))
+        plane = _LAST_PLANES.get((run.path, key))
     if plane is None:
         return None
-    return Placed.of(key, plane.names, planes.of_rows(plane, buffer.recorded(run).rows))
+    return RowsOnPlane.of(key, plane.names, planes.of_rows(plane, buffer.recorded(run).rows))
 
 
 @cached("buffer")
@@ -186,11 +186,11 @@ def _plane(run: RunReader, kind: str, source: Source) -> planes.Plane:
     """The contrast plane, or the principal components, of the rows of these weights."""
     part = buffer.recorded(run).rows[source.first : source.end]
     if kind == CONTRAST:
-        return planes.contrast_of(part, source.weight, buffer.named(run))
-    return planes.principal_of(part, buffer.named(run))
+        return planes.contrast_of(part, source.weight, buffer.obs_and_action_names(run))
+    return planes.principal_of(part, buffer.obs_and_action_names(run))
 
 
-def layers(run: RunReader) -> dict[str, str]:
+def network_planes(run: RunReader) -> dict[str, str]:
     """The keys of the planes of a run's networks: its last policy and its stored model."""
     if run.env == ROAD:
         return {}
@@ -200,10 +200,10 @@ def layers(run: RunReader) -> dict[str, str]:
 
 def dimensions(run: RunReader) -> list[Column]:
     """The task's own dimensions, s then a."""
-    return [one for one in columns.recorded(run) if one.name not in columns.OF_ROWS]
+    return [one for one in columns.recorded(run) if one.name not in columns.ROW_QUANTITIES]
 
 
-def _of_network(run: RunReader, kind: str, key: str) -> Placed | None:
+def _network_plane(run: RunReader, kind: str, key: str) -> RowsOnPlane | None:
     """The principal components of the last hidden layer of the last policy or the stored model."""
     rows = buffer.recorded(run).rows.torch()
     kept = buffer.stored_policy(run) if kind == POLICY else buffer.stored_model(run)
@@ -215,25 +215,25 @@ def _of_network(run: RunReader, kind: str, key: str) -> Placed | None:
         given = (rows.obs,) if kind == POLICY else (rows.obs, rows.action)
         return network.hidden(*(one[part] for one in given)).numpy()
 
-    plane = planes.of_layer(hidden(spread(len(rows), JUDGED)))
-    return Placed.of(key, plane.names, planes.coordinates(plane, len(rows), hidden))
+    plane = planes.of_layer(hidden(spread(len(rows), SAMPLED_ROWS)))
+    return RowsOnPlane.of(key, plane.names, planes.coordinates(plane, len(rows), hidden))
 
 
 @cached("buffer", "model")
-def explained(run: RunReader, key: str, source: Source) -> float:
+def explained_share(run: RunReader, key: str, source: Source) -> float:
     """The share of the log weights that a plane explains on held-out rows; NaN without a plane."""
-    part = spread(len(source.weight), JUDGED)
-    if fitted := _fitted(run, key):  # a plane that is not shown needs no more rows than these
+    part = spread(len(source.weight), SAMPLED_ROWS)
+    if fitted := _plane_source(run, key):  # a plane that is not shown needs no more rows than these
         rows = buffer.recorded(run).rows[source.first + part]
         xy = planes.of_rows(_plane(run, key.partition("@")[0], fitted), rows)
-    elif (place := placed(run, key)) is not None:
+    elif (place := rows_on_plane(run, key)) is not None:
         xy = place.xy[source.first + part]
     else:
         return np.nan
-    return planes.explained(xy, source.weight[part])
+    return planes.explained_share(xy, source.weight[part])
 
 
-def coded(run: RunReader, source: Source, name: str) -> tuple[columns.Codes, Column] | None:
+def source_codes(run: RunReader, source: Source, name: str) -> tuple[columns.Codes, Column] | None:
     """The codes (N,) of a quantity of the rows of these weights; None if it is not known."""
     if name == AGE.name:
         return columns.age_codes(len(source.weight)), AGE
@@ -250,16 +250,16 @@ def coded(run: RunReader, source: Source, name: str) -> tuple[columns.Codes, Col
     return None
 
 
-def chosen(run: RunReader, source: Source, selection: Selection) -> Mask:
+def selection_mask(run: RunReader, source: Source, selection: Selection) -> Mask:
     """A mask (N,) of the rows of these weights that a selection chooses.
 
     What it says of quantities and planes that this buffer lacks is left out.
     """
     mask = np.ones(len(source.weight), bool)
     for name, interval in selection.intervals.items():
-        if (found := coded(run, source, name)) is not None:
+        if (found := source_codes(run, source, name)) is not None:
             mask &= between(*found, interval)
-    place = placed(run, selection.outline.plane) if selection.outline else None
+    place = rows_on_plane(run, selection.outline.plane) if selection.outline else None
     if selection.outline and place:
         x, y = (
             columns.decode(codes[source.first : source.end], axis)
@@ -273,12 +273,12 @@ def read_ahead(run: RunReader) -> None:
     """Make what the map of a run asks for first, unless its buffer is too large to be kept."""
     if run.env == ROAD or run.buffer_bytes() > STUDIO_CACHE_BYTES:
         return
-    seen = weighed(run)
-    own = list(fits(seen).values())
+    seen = first_weight_reader(run)
+    own = list(fit_sources(seen).values())
     if own and buffer.weighed_rows(seen, (last := own[-1]).weight, last.end) is not None:
         for kind in (CONTRAST, PRINCIPAL):
-            explained(seen, f"{kind}@{last.label}", last)
-        placed(seen, f"{CONTRAST}@{last.label}")
+            explained_share(seen, f"{kind}@{last.label}", last)
+        rows_on_plane(seen, f"{CONTRAST}@{last.label}")
         columns.recorded(seen)
 
 
@@ -292,26 +292,26 @@ def nearest(run: RunReader, source: Source, row: int) -> NDArray[np.int64]:
     return source.first + why.nearest(part, here, part, NEAREST, itself=here).index.numpy()
 
 
-def given_plane(run: RunReader, key: str) -> dict | None:
+def plane_for_browser(run: RunReader, key: str) -> dict | None:
     """What the browser needs to know of a plane."""
-    place = placed(run, key)
+    place = rows_on_plane(run, key)
     if place is None:
         return None
 
     def codes(i: int) -> columns.Codes:
-        found = placed(run, key)
+        found = rows_on_plane(run, key)
         assert found is not None
         return found.codes[i]
 
     made = place.codes if run.status.alive else (None, None)
     axes = [
-        _given(run, axis, place.names[i], partial(codes, i), made[i])
+        _column_for_browser(run, axis, place.names[i], partial(codes, i), made[i])
         for i, axis in enumerate(place.axes)
     ]
     return {"key": key, "axes": axes}
 
 
-def _given(
+def _column_for_browser(
     run: RunReader,
     column: Column,
     name: str,
@@ -320,47 +320,52 @@ def _given(
 ) -> dict:
     """A quantity of the record with the address of its codes."""
     version = run.version("buffer"), run.version("model")
-    url = offer((run.path, version, column), make, made)
+    url = publish_array((run.path, version, column), make, made)
     return {"name": name, "low": column.low, "high": column.high, "url": url}
 
 
-def given_source(run: RunReader, source: Source) -> dict:
+def source_for_browser(run: RunReader, source: Source) -> dict:
     """What the browser needs to know of weights."""
     label, of_fit, count = source.label, source.weighing is None, len(source.weight)
 
-    def again() -> Source:
-        found = _fit(run, int(label), buffer.length(run)) if of_fit else others(run).get(label)
+    def current() -> Source:
+        found = (
+            _fit_source(run, int(label), buffer.length(run))
+            if of_fit
+            else weighing_sources(run).get(label)
+        )
         if found is None:
             raise UserError(f"the weights of {label} are no longer there")
         return found
 
-    def far() -> columns.Codes:
+    def distance_codes() -> columns.Codes:
         try:
-            found = distances(run, again())
+            found = distances(run, current())
         except UserError:  # a training has replaced this fit
             found = None
         return columns.encode(np.full(count, np.nan) if found is None else found, DISTANCE)
 
     key = run.path, label, source.version
+    far = publish_array((*key, DISTANCE), distance_codes) if knows_policy(run, source) else None
     made = columns.weight_codes(source.weight) if run.status.alive else None
     return {
         "label": label, "first": source.first, "count": count,
         "step": int(label) if of_fit else None,
-        "url": offer(key, lambda: columns.weight_codes(again().weight), made),
-        "distance": offer((*key, DISTANCE), far) if knows_policy(run, source) else None,
+        "url": publish_array(key, lambda: columns.weight_codes(current().weight), made),
+        "distance": far,
     }  # fmt: skip
 
 
-def given_columns(run: RunReader, sources: Sequence[Source]) -> list[dict]:
+def columns_for_browser(run: RunReader, sources: Sequence[Source]) -> list[dict]:
     """What the browser needs to know of the quantities of the record, and of those of sources."""
     sampled = f" (of {ERROR_ROWS:,} rows)" if buffer.length(run) > ERROR_ROWS else ""
     found = [
-        _given(run, one, one.name, partial(columns.codes, run, one.name))
+        _column_for_browser(run, one, one.name, partial(columns.codes, run, one.name))
         | {"note": sampled if one.name == ERROR else ""}
         for one in columns.recorded(run)
     ]
     if any(knows_policy(run, one) for one in sources):
         of_source = {"name": DISTANCE.name, "low": DISTANCE.low, "high": DISTANCE.high}
-        place = sum(one["name"] in columns.OF_ROWS for one in found)
+        place = sum(one["name"] in columns.ROW_QUANTITIES for one in found)
         found.insert(place, {**of_source, "note": "", "url": None})
     return found

@@ -34,7 +34,7 @@ _MAKING: WeakValueDictionary[Hashable, Any] = WeakValueDictionary()
 """by key, the lock of who makes its result"""
 
 
-def made_once(key: tuple[Hashable, ...], version: Hashable, make: Callable[[], T]) -> T:
+def get_or_make(key: tuple[Hashable, ...], version: Hashable, make: Callable[[], T]) -> T:
     """The result for `key`, made if it is not kept in this `version`, whose older one it replaces.
 
     It is shared and must not be changed. Who asks for what another thread is making waits for it.
@@ -73,7 +73,7 @@ def cached(*parts: Part) -> Callable[[Callable[P, T]], Callable[P, T]]:
                 else:
                     key.append(getattr(one, "label", one))
                     version.append(getattr(one, "version", None))
-            return made_once(tuple(key), tuple(version), lambda: read(*args, **kwargs))
+            return get_or_make(tuple(key), tuple(version), lambda: read(*args, **kwargs))
 
         return get
 
@@ -105,13 +105,15 @@ def bytes_of(value: object) -> int:
 
 
 ARRAYS = "api/arrays"
-OFFERED = 20_000
+MAX_PUBLISHED = 20_000
 """arrays that are known at a time; each page offers its own again when it is drawn"""
 
-_MAKERS: LRUCache[str, Callable[[], NDArray]] = LRUCache(OFFERED)
+_MAKERS: LRUCache[str, Callable[[], NDArray]] = LRUCache(MAX_PUBLISHED)
 
 
-def offer(key: tuple[object, ...], make: Callable[[], NDArray], made: NDArray | None = None) -> str:
+def publish_array(
+    key: tuple[object, ...], make: Callable[[], NDArray], made: NDArray | None = None
+) -> str:
     """The address of the array of `key`, which holds its version; `make` should hold no array.
 
     `made` is that array if a training may soon replace what `make` reads.
@@ -124,7 +126,7 @@ def offer(key: tuple[object, ...], make: Callable[[], NDArray], made: NDArray | 
     return f"{ARRAYS}/{name}"
 
 
-def array(name: str) -> bytes | None:
+def published_array(name: str) -> bytes | None:
     """The bytes of an offered array, little-endian; None if no page has offered it."""
     with LOCK:
         make, held = _MAKERS.get(name), RESULTS.get(name)

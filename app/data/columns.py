@@ -23,7 +23,7 @@ OCTAVES = 16.0
 """weights are coded from 2^-16 to 2^16 times the mean"""
 TAILS = 0.0005
 """share of the rows at each end of a quantity whose codes are those of the ends"""
-JUDGED = 100_000
+RANGE_ROWS = 100_000
 """rows from which the ends are estimated"""
 
 
@@ -75,15 +75,15 @@ def rank_codes(codes: Codes) -> Codes:
 def bounds(column: Column, low: float | None, high: float | None) -> tuple[int, int]:
     """The codes from the first to the last of an interval; None is an open end."""
     if column.name == "weight":
-        first = 0 if low is None else _of_weight(low, up=True)
-        return first, TOP if high is None else _of_weight(high, up=False)
+        first = 0 if low is None else _weight_code(low, up=True)
+        return first, TOP if high is None else _weight_code(high, up=False)
     span = column.high - column.low or 1.0
     first = 0 if low is None else int(np.ceil((low - column.low) / span * TOP - 1e-6))
     last = TOP if high is None else int(np.floor((high - column.low) / span * TOP + 1e-6))
     return max(first, 0), min(last, TOP)
 
 
-def _of_weight(weight: float, *, up: bool) -> int:
+def _weight_code(weight: float, *, up: bool) -> int:
     if weight <= 0:
         return 0
     code = 1 + (np.log2(weight) + OCTAVES) / (2 * OCTAVES) * (TOP - 1)
@@ -100,11 +100,11 @@ DISTANCE = Column("policy distance", 0.0, 2.0)
 """quantity of a fit whose policy is known: no action in [-1, 1] lies farther from another one"""
 REWARD, RETURN, VERSION = "reward", "return of the episode", "policy version"
 ERROR = "model error"
-OF_ROWS = REWARD, RETURN, VERSION, ERROR
+ROW_QUANTITIES = REWARD, RETURN, VERSION, ERROR
 """quantities of the record that are no dimension of the task"""
 ERROR_ROWS = 100_000
 """maximum number of rows of known model error"""
-JUDGED_ERRORS = 2000
+RANGE_ERROR_ROWS = 2000
 """of them, those from which the ends are estimated"""
 
 
@@ -117,12 +117,12 @@ def values(run: RunReader, name: str) -> NDArray:
     if name == REWARD:
         return np.asarray(rows.reward)
     if name == RETURN:
-        return buffer.in_episodes(run)[2]
+        return buffer.row_episodes(run)[2]
     if name == VERSION:
         return buffer.recorded(run).version
     if name == ERROR:
         return buffer.model_errors_of(run, spread(len(rows), ERROR_ROWS))
-    names, actions = buffer.named(run)
+    names, actions = buffer.obs_and_action_names(run)
     if name in names:
         return np.asarray(rows.obs)[:, names.index(name)]
     return np.asarray(rows.action)[:, actions.index(name)]
@@ -132,7 +132,7 @@ def values(run: RunReader, name: str) -> NDArray:
 def recorded(run: RunReader) -> tuple[Column, ...]:
     """The quantities of the record, those of the task's dimensions last."""
     rows = buffer.recorded(run).rows.numpy()
-    names, actions = buffer.named(run)
+    names, actions = buffer.obs_and_action_names(run)
     known = [REWARD, RETURN]
     # Without recorded policies each row has a version of its own.
     known += [VERSION] if len(np.unique(buffer.recorded(run).version)) < max(len(rows), 2) else []
@@ -140,9 +140,9 @@ def recorded(run: RunReader) -> tuple[Column, ...]:
     found = []
     for name in [*known, *names, *actions]:
         if name == ERROR:
-            part = buffer.model_errors_of(run, spread(len(rows), JUDGED_ERRORS))
+            part = buffer.model_errors_of(run, spread(len(rows), RANGE_ERROR_ROWS))
         else:
-            part = values(run, name)[spread(len(rows), JUDGED)]
+            part = values(run, name)[spread(len(rows), RANGE_ROWS)]
         part = part[np.isfinite(part)]
         low, high = np.quantile(part, [TAILS, 1 - TAILS]) if len(part) else (0.0, 0.0)
         found.append(Column(name, float(low), float(high)))

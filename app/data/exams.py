@@ -44,7 +44,7 @@ class Exams:
     returns: Floats
 
     @property
-    def telling(self) -> NDArray[np.bool_]:
+    def informative(self) -> NDArray[np.bool_]:
         """A mask (F,) of the informative footprints."""
         return informative(self.noise)
 
@@ -53,7 +53,7 @@ class Exams:
         """The step of the last examined fit; -inf if there is none."""
         return float(self.step[-1]) if len(self.step) else -np.inf
 
-    def at(self, which: NDArray) -> "Exams":
+    def subset(self, which: NDArray) -> "Exams":
         """Some of the exams: a mask (F,) or indices."""
         names = ("step", *MEASURED, "returns")
         return replace(self, **{name: getattr(self, name)[which] for name in names})
@@ -66,11 +66,11 @@ def exams_of(run_id: str, learner: str, seed: int, group: str, frame: pd.DataFra
     of the previous policy.
     """
     measured = frame.reindex(columns=list(MEASURED.values())).to_numpy(np.float64).T  # (4, rows)
-    sat = np.isfinite(measured).any(0)
-    step = np.asarray(frame["env_step"], np.int64)[sat]
+    examined = np.isfinite(measured).any(0)
+    step = np.asarray(frame["env_step"], np.int64)[examined]
     at, value = curve_points(frame, "eval/return")
     returns = np.append(value, np.nan)[np.searchsorted(at, step, side="right")]
-    kept = dict(zip(MEASURED, measured[:, sat], strict=True))
+    kept = dict(zip(MEASURED, measured[:, examined], strict=True))
     return Exams(run_id, learner, seed, group, step, **kept, returns=returns)
 
 
@@ -84,7 +84,7 @@ class Standing:
     error: Floats
     rollout_error: Floats
     footprint: Floats
-    telling: int
+    informative_fits: int
     """number of fits with an informative footprint"""
 
     @property
@@ -116,7 +116,7 @@ class Ranking:
         return probability_of_improvement([first], [second])
 
     @property
-    def chance(self) -> float:
+    def p_value(self) -> float:
         """The p of `first_beats_second`: by permutation, since the interval is for many runs."""
         first, second = (standing.error for standing in self.ranked[:2])
         return exchangeable([first], [second])
@@ -139,7 +139,7 @@ def ranking(exams: Sequence[Exams], since: float = -np.inf) -> Ranking:
     standings = {}
     for name, of in groups.items():
         whole = [run for run in of if np.isinf(until) or run.last >= until]
-        counted = [run.at((run.step >= since) & (run.step <= until)) for run in whole]
+        counted = [run.subset((run.step >= since) & (run.step <= until)) for run in whole]
         standings[name] = standing(name, counted)
     ranked = [standings[name] for name in reach] if len(reach) > 1 else []
     ranked.sort(key=lambda one: one.typical)
@@ -167,8 +167,8 @@ def standing(group: str, runs: Sequence[Exams]) -> Standing:
         sum(len(run.step) for run in runs),
         medians([run.error for run in runs]),
         medians([run.rollout_error for run in runs]),
-        medians([run.footprint[run.telling] for run in runs]),
-        sum(int(run.telling.sum()) for run in runs),
+        medians([run.footprint[run.informative] for run in runs]),
+        sum(int(run.informative.sum()) for run in runs),
     )
 
 

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from app.data import trainings
-from app.data.cache import cached, made_once
+from app.data.cache import cached, get_or_make
 from tom.errors import UserError
 from tom.learners import SUBJECT
 from tom.record import manage
@@ -51,14 +51,14 @@ def listing(store: str) -> Listing:
         if found is None or found[0] != _version(found[1]):
             version = _version(RunReader(Path(store) / name))
             try:
-                run = Store(store).look(name)
+                run = Store(store).open_run(name)
             except UserError as error:
                 problems.append(str(error))
                 continue
             _ = run.status, run.labels  # read them, for their problems
             found = version, run
         current[name] = found
-        runs.append(_as_it_is(found[1]))
+        runs.append(_with_current_status(found[1]))
     _RUNS[store] = current
     runs.sort(key=lambda run: (run.created, run.run_id), reverse=True)
     return Listing(tuple(runs), tuple(problems))
@@ -68,9 +68,9 @@ def _version(run: RunReader) -> object:
     return os.path.islink(run.path), run.version("facts")  # noqa: PTH114 (pathlib's takes longer)
 
 
-def _as_it_is(run: RunReader) -> RunReader:
+def _with_current_status(run: RunReader) -> RunReader:
     """The run, shown as dead at once if its process has ended without a final status."""
-    if not (run.status.alive and trainings.gone(run.path)):
+    if not (run.status.alive and trainings.has_ended(run.path)):
         return run
     last = min(run.status.heartbeat, time.time() - DEAD_AFTER_S - 1)
     reason = run.status.reason or "its process has ended without a word"
@@ -85,12 +85,12 @@ def trashed(store: Path | str) -> list[str]:
         return []
 
 
-def loop(run: RunReader) -> RunReader:
+def loop_reader(run: RunReader) -> RunReader:
     """The run itself: of live weights that of the loop, whose returns and policies these are."""
     return RunReader(run.home)
 
 
-def reader(run: RunReader) -> RunReader:
+def fresh_reader(run: RunReader) -> RunReader:
     """Another reader of the run's folder, with problems of its own."""
     return RunReader(run.path)
 
@@ -99,27 +99,27 @@ def _part(run: RunReader, part: Literal["metrics", "profiles", "notices"]) -> tu
     """A part of a run, and the problems of its files."""
 
     def read() -> tuple[Any, list[str]]:
-        own = reader(run)
+        own = fresh_reader(run)
         return getattr(own, part)(), own.problems
 
-    return made_once((part, run.path), run.version(part), read)
+    return get_or_make((part, run.path), run.version(part), read)
 
 
-def weighers(run: RunReader) -> dict[str, RunReader]:
+def weight_readers(run: RunReader) -> dict[str, RunReader]:
     """The run seen with its own weights, if it has any, and with live ones, by learner."""
     own = {run.learner: run} if has_profiles(run) else {}
     live = run.live().items() if run.own_loop else ()
     return own | dict(sorted(live, key=lambda one: one[0] != SUBJECT))
 
 
-def weighed(run: RunReader) -> RunReader:
+def first_weight_reader(run: RunReader) -> RunReader:
     """The run seen with the first of its weights."""
-    return next(iter(weighers(run).values()), run)
+    return next(iter(weight_readers(run).values()), run)
 
 
 def metrics(run: RunReader) -> pd.DataFrame:
     """One row per recorded step: `env_step` and every metric; of a loop also its live weights'."""
-    own, live = _part(run, "metrics")[0], weighed(run)
+    own, live = _part(run, "metrics")[0], first_weight_reader(run)
     if live is run:
         return own
     found = _part(live, "metrics")[0]
@@ -153,13 +153,13 @@ def has_profiles(run: RunReader) -> bool:
     return any(size for _, size in run.version("profiles"))
 
 
-def points(run: RunReader) -> dict[str, int]:
+def metric_counts(run: RunReader) -> dict[str, int]:
     """The number of recorded values of each metric that has at least one."""
-    return _points(weighed(run)) | _points(run)
+    return _metric_counts(first_weight_reader(run)) | _metric_counts(run)
 
 
 @cached("metrics")
-def _points(run: RunReader) -> dict[str, int]:
+def _metric_counts(run: RunReader) -> dict[str, int]:
     frame = _part(run, "metrics")[0]
     count = np.isfinite(frame.to_numpy(np.float64)).sum(0)
     return {str(name): int(n) for name, n in zip(frame, count, strict=True) if n}
@@ -174,4 +174,4 @@ def recordings(run: RunReader) -> list[str]:
 @cached("episodes")
 def returns(run: RunReader, step: int) -> NDArray[np.float64]:
     """The return of each episode of the evaluation at `step`; empty if unreadable."""
-    return np.array([e.undiscounted_return for e in reader(run).episodes(step)], np.float64)
+    return np.array([e.undiscounted_return for e in fresh_reader(run).episodes(step)], np.float64)

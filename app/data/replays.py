@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from app.data import buffer
 from app.data.cache import cached
-from app.data.readers import reader
+from app.data.readers import fresh_reader
 from app.data.road import RoadShape
 from tom.analysis.imagine import Imagined, imagine, joint_positions
 from tom.envs import ROAD, scene
@@ -21,7 +21,7 @@ ROAD_DT = 0.1
 HORIZONS = (1, 5, 10, 25, 50, 100, 1000)
 """choices of steps after which the ghost restarts from the real state; the last is an episode"""
 DEFAULT_HORIZON = 25
-ALIKE = 1e-6
+CONSTANT_STD = 1e-6
 """standard deviation of a dimension's change per step up to which the change is constant"""
 
 Floats = NDArray[np.float32]
@@ -53,7 +53,7 @@ class Replay:
         return f"{self.run_id} {self.step} {self.index}"
 
     @property
-    def drawn(self) -> bool:
+    def has_scene(self) -> bool:
         """Whether there is a robot or a car to draw; else there are only observations."""
         return self.model is not None or self.road is not None
 
@@ -68,7 +68,7 @@ class Replay:
         assert self.imagined is not None
         real = self.episode.obs
         scale = np.diff(real, axis=0).std(0)
-        scaled = scale > ALIKE
+        scaled = scale > CONSTANT_STD
         if not scaled.any():
             return np.full(self.episode.length, np.nan)
         gap = (self.imagined.obs - real)[1:, scaled] / scale[scaled]
@@ -82,26 +82,26 @@ def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
     The ghost restarts from the real state every `horizon` steps. Raises UserError if the run's
     folder does not say what its task is.
     """
-    episodes = reader(run).episodes(step)
+    episodes = fresh_reader(run).episodes(step)
     if not 0 <= index < len(episodes) or not episodes[index].length:
         return None
     episode = episodes[index]
     road = None
     if run.env == ROAD and (maps := run.field_steps("map")):
         with suppress(KeyError):
-            road = RoadShape.of(reader(run).field("map", maps[0]))
+            road = RoadShape.of(fresh_reader(run).field("map", maps[0]))
     robot = None if road or episode.qpos is None else scene_of(run)
     real = episode.obs if robot is None else episode.qpos
     if real is None:
         return None
-    known = None if run.env == ROAD else task_of(run)
-    dt = ROAD_DT if known is None else seconds(run)
+    task = None if run.env == ROAD else task_of(run)
+    dt = ROAD_DT if task is None else seconds(run)
     kept = buffer.stored_model(run)
     imagined = None if isinstance(kept, str) else imagine(kept.predictor, episode, horizon)
-    ghost = None if imagined is None or known is not None else imagined.obs
+    ghost = None if imagined is None or task is not None else imagined.obs
     # The joints, where the observations hold them.
-    if imagined and known and known.root_dims is not None and episode.qpos is not None:
-        ghost = joint_positions(known, episode, imagined.obs, dt, horizon)
+    if imagined and task and task.root_dims is not None and episode.qpos is not None:
+        ghost = joint_positions(task, episode, imagined.obs, dt, horizon)
     return Replay(
         run_id=run.run_id,
         env=run.env,
@@ -109,7 +109,7 @@ def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
         step=step,
         index=index,
         model=robot,
-        names=("x", "y") if known is None else known.obs_names,
+        names=("x", "y") if task is None else task.obs_names,
         dt=dt,
         episode=episode,
         real=real,

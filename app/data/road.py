@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from app.data import buffer
 from app.data.cache import cached
-from app.data.readers import reader
+from app.data.readers import fresh_reader
 from tom.record.reader import RunReader, at_or_before
 
 CELLS = 40
@@ -56,7 +56,7 @@ def steps(run: RunReader) -> list[int]:
 @cached("snapshot", "pictures")
 def picture(run: RunReader, step: int) -> Picture | None:
     """The fit at `step`; None if the run's folder lacks the map."""
-    part = reader(run)
+    part = fresh_reader(run)
 
     def latest(name: str) -> dict[str, NDArray]:
         recorded = part.field_steps(name)

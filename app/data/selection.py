@@ -51,8 +51,8 @@ class Selection:
         return cls(intervals, _outline("".join(outline[-1:])))
 
 
-def _outline(words: str) -> Outline | None:
-    plane, _, pairs = words.rpartition(" ")
+def _outline(text: str) -> Outline | None:
+    plane, _, pairs = text.rpartition(" ")
     try:
         corners = tuple((float(x), float(y)) for x, y in (p.split(",") for p in pairs.split(";")))
     except ValueError:

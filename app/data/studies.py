@@ -32,7 +32,9 @@ QUESTIONS = {
 """the question of every study of `tom reproduce`, in the order of listing"""
 FACTORS = "factors"
 """the table of returns with weights in the model, in the starts, in both or in none"""
-IN_WHICH = "Do whole trainings return more with TOM's weights in the model, or in the starts?"
+FACTORS_QUESTION = (
+    "Do whole trainings return more with TOM's weights in the model, or in the starts?"
+)
 
 
 @dataclass(frozen=True)
@@ -57,25 +59,25 @@ class Study:
         return self.name if self.name in QUESTIONS else verb
 
     @property
-    def factors(self) -> bool:
+    def has_factors(self) -> bool:
         """Whether it tells weights in the model from weights in the starts."""
         return any(table.stem == FACTORS for table in self.tables)
 
     @property
     def question(self) -> str:
-        return IN_WHICH if self.factors else QUESTIONS.get(self.verb, "")
+        return FACTORS_QUESTION if self.has_factors else QUESTIONS.get(self.verb, "")
 
     @property
-    def asked(self) -> str:
+    def question_key(self) -> str:
         """What studies of one question have in common; other studies stand alone."""
-        if self.factors:
+        if self.has_factors:
             return f"{self.verb}-apart"
         return self.verb if self.question else self.name
 
     @property
-    def measured(self) -> str:
+    def distinction(self) -> str:
         """What tells it from the others of its question: its name's ending, and its numbers."""
-        ending = self.name.removeprefix(self.asked).strip("-").replace("-", " ")
+        ending = self.name.removeprefix(self.question_key).strip("-").replace("-", " ")
         # Of returns the number of runs is known, of other studies their names.
         number = self.origin.get("n", f"{self.origin.get('runs', '?')} runs")
         return ", ".join(filter(None, (ending, number)))

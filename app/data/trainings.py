@@ -23,7 +23,7 @@ LOG_TAIL, LOG_TAIL_BYTES = 8, 64_000
 class Started:
     """A command that this studio started."""
 
-    words: tuple[str, ...]
+    arguments: tuple[str, ...]
     """the arguments of `tom`"""
     process: processes.Process
     log: BinaryIO
@@ -39,14 +39,14 @@ class Started:
         return "\n".join(output.splitlines()[-LOG_TAIL:])
 
 
-def start(words: Sequence[str]) -> Started:
+def start(arguments: Sequence[str]) -> Started:
     """Run `tom WORDS` in a new session, so that it outlives the studio."""
     # Without the studio's key: a training runs plug-ins, and outlives the studio.
     environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
     log = TemporaryFile(buffering=0)  # noqa: SIM115 (open as long as somebody may look at it)
-    command = [sys.executable, "-m", "tom", *words]
+    command = [sys.executable, "-m", "tom", *arguments]
     process = processes.start(command, log, environment, outlives=True)
-    return Started(tuple(words), process, log)
+    return Started(tuple(arguments), process, log)
 
 
 def stop(store: Store, run_id: str) -> None:
@@ -79,6 +79,6 @@ def memory(pid: int, run: Path) -> int | None:
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def gone(run: Path) -> bool:
+def has_ended(run: Path) -> bool:
     """Whether the process that wrote the run folder has ended; False if on another machine."""
     return bool(lock.written_here(run)) and not lock.held(run)

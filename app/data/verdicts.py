@@ -12,7 +12,7 @@ from math import isfinite, nan
 from statistics import median
 from typing import NamedTuple
 
-from app.data import called, studies
+from app.data import run_names, studies
 from app.data.studies import FACTORS, Study
 from app.theme import learner_colour
 from tom.analysis.scores import HEIGHT
@@ -20,14 +20,14 @@ from tom.analysis.statistics import Interval
 from tom.learners import LEARNERS, SUBJECT
 from tom.readable import percent
 from tom.studies.frozen import MENDED, PRINTED, UNIFORM, WAYS
-from tom.studies.moments import sign_test, telling
+from tom.studies.moments import informative_outcomes, sign_test
 from tom.studies.returns_tables import MEASURES
 from tom.studies.study import Row
 
 BY_LABEL = {entry.label: name for name, entry in LEARNERS.items()}
 LABELS = {name: way.label for name, way in WAYS.items() if way.label}
 SIGNIFICANT = 0.05
-NAMED = 3
+MAX_NAMED = 3
 """numbers of an acceptance that are named"""
 Tables = Mapping[str, Sequence[Row]]
 """the rows of a study's tables by the files' names"""
@@ -84,7 +84,7 @@ def tables_of(study: Study) -> Tables:
 def verdict(study: Study) -> Verdict | None:
     """The verdict on a study's question; None without a rule for it, or without its tables."""
     try:
-        rule = _factors if study.factors else RULES[study.verb]
+        rule = _factors if study.has_factors else RULES[study.verb]
         return rule(tables_of(study))
     except (LookupError, ValueError, StopIteration):  # or tables of another version
         return None
@@ -96,13 +96,13 @@ def _footprint(tables: Tables) -> Verdict:
     for row in (rows[way] for way in (PRINTED, MENDED) if way in rows):
         signs = sign_test(
             (one["env"], one["recording"], 1 - one["footprint"])
-            for one in telling(tables["moments"])
+            for one in informative_outcomes(tables["moments"])
             if one["way"] == row["way"]
         )
         ours.append({**row, "p": signs.p, "better on": signs.above, "recordings": signs.n})
     distances = [
         f"{LABELS[row['way']]} {percent(row['distance'], 0)} "
-        f"({_sure(row, lambda end: percent(end, 0))})"
+        f"({_certainty(row, lambda end: percent(end, 0))})"
         for row in ours
     ]
     sentence = (
@@ -110,9 +110,9 @@ def _footprint(tables: Tables) -> Verdict:
         f"{', '.join(distances)}. Recorded trainings, {ours[0]['n']:.0f} moments."
     )
     rivals = {"recency": "Recency", "policy-distance": "The policies' distance"}
-    said = [
+    rival_sentences = [
         f"{name}, which trains nothing, keeps {percent(rows[rival]['distance'], 0)}, which "
-        f"{_beside(pair, rival)} TOM mended ({_sure(pair, lambda end: percent(end, 0))})."
+        f"{_comparison(pair, rival)} TOM mended ({_certainty(pair, lambda end: percent(end, 0))})."
         for pair in tables["head-to-head"]
         for rival, name in rivals.items()
         if {pair["way"], pair["against"]} == {MENDED, rival}
@@ -120,10 +120,10 @@ def _footprint(tables: Tables) -> Verdict:
     shown = sorted((rows[way] for way in LABELS if way in rows), key=lambda row: row["distance"])
     points = [_point(LABELS[row["way"]], "", row, "distance") for row in shown]
     axis = "distance to the policy (1: without weights)"
-    return Verdict(_by_rows(ours), sentence, " ".join(said), axis, 1, points)
+    return Verdict(_by_rows(ours), sentence, " ".join(rival_sentences), axis, 1, points)
 
 
-def _beside(pair: Row, rival: str) -> str:
+def _comparison(pair: Row, rival: str) -> str:
     """How a way's distance lies beside the other's of a pair, by the interval of the difference."""
     differs = pair["p"] < SIGNIFICANT
     if isfinite(pair["low"]):
@@ -142,7 +142,7 @@ def _capacity(tables: Tables) -> Verdict:
     models = list(dict.fromkeys(row["model"] for row in ours))
     less = [m for m in models if all(row["high"] < 1 for row in ours if row["model"] == m)]
     cost = [
-        f"{row['ratio']:.2f} ({_sure(row, '{:.2f}'.format)}) with {LABELS[row['way']]}"
+        f"{row['ratio']:.2f} ({_certainty(row, '{:.2f}'.format)}) with {LABELS[row['way']]}"
         for row in table
         if row["model"] == models[-1] and not WAYS[row["way"]].half
     ]
@@ -287,7 +287,7 @@ def _online(tables: Tables) -> Verdict:
         shares = [r["newest tenth"] for r in rows if (r["env"], r["learner"]) == (env, name)]
         mark = "circle-open" if name == "TOM" else "circle"
         value = median(shares)
-        points.append(Point(called.task(env), of_tom[name], colour, mark, value, nan, nan))
+        points.append(Point(run_names.task_title(env), of_tom[name], colour, mark, value, nan, nan))
     axis = "weight on the newest tenth (0.1: even weights)"
     side = (2 * early > len(uneven)) - (2 * early < len(uneven))
     word = {1: "Yes", 0: "In part", -1: "No"}[side]
@@ -300,8 +300,8 @@ def _accepted(tables: Tables) -> Verdict:
     missed = [str(row["name"]) for row in judged if str(row["met"]) == "False"]
     met = len(judged) - len(missed)
     sentence = f"{met} of the {len(judged)} bounds that were fixed beforehand are met."
-    more = f", and {len(missed) - NAMED} more" if len(missed) > NAMED else ""
-    against = f"Not met: {'; '.join(missed[:NAMED])}{more}." if missed else ""
+    more = f", and {len(missed) - MAX_NAMED} more" if len(missed) > MAX_NAMED else ""
+    against = f"Not met: {'; '.join(missed[:MAX_NAMED])}{more}." if missed else ""
     return Verdict(word_of([1] * met + [-1] * len(missed)), sentence, against)
 
 
@@ -332,7 +332,7 @@ def _side(p: float, better: bool) -> int:
     return (1 if better else -1) if p < SIGNIFICANT else 0
 
 
-def _sure(row: Row, number: Callable[[float], str]) -> str:
+def _certainty(row: Row, number: Callable[[float], str]) -> str:
     """How sure a row's number is: its interval, else its test."""
     if isfinite(row["low"]):
         of = "difference " if "difference" in row else ""
@@ -351,11 +351,11 @@ def word_of(sides: Sequence[int]) -> str:
     return "In part" if max(sides) == 1 else "No"
 
 
-def _point(line: str, series: str, row: Row, of: str) -> Point:
-    """The point of a row's way, which stands at the column `of`."""
+def _point(line: str, series: str, row: Row, column: str) -> Point:
+    """The point of a row's way, at the value in `column`."""
     ends = row.get("low", nan), row.get("high", nan)
     colour = learner_colour(WAYS[row["way"]].learner or "")
-    return Point(line, series, colour, symbol(row["way"]), row[of], *ends)
+    return Point(line, series, colour, symbol(row["way"]), row[column], *ends)
 
 
 def symbol(way: str) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from app import text
 from app.data import readers
-from app.data.cache import made_once
+from app.data.cache import get_or_make
 from app.data.exams import at_fit
 from tom.analysis.progression import medians, progression
 from tom.data.card import sentence
@@ -59,7 +59,7 @@ class Dataset(RunReader):
         """The command of its last weighing."""
         return str(self.report.get("made", {}).get("command", ""))
 
-    def words(self, store: str) -> list[str]:
+    def weigh_arguments(self, store: str) -> list[str]:
         """The arguments of `tom` that weigh it again, from the rows of its last weighing."""
         results, policy = self.report["results"], self.report["policy"]
         learners, seeds = (
@@ -185,7 +185,7 @@ class Weighing:
 
         if self.columns is not None:
             return self.columns
-        return made_once(("weights", self.path), modified(self.path / WEIGHTS), read)
+        return get_or_make(("weights", self.path), modified(self.path / WEIGHTS), read)
 
     def weights(self) -> dict[tuple[str, int], NDArray[np.float32]]:
         """The weights (N,) by learner and seed; empty if they cannot be read."""
@@ -193,7 +193,7 @@ class Weighing:
         return {
             (learner, seed): self.table()[column].astype(np.float32, copy=False)
             for column, (learner, _, words) in parts.items()
-            if learner and (seed := text.whole(words)) is not None
+            if learner and (seed := text.parse_int(words)) is not None
         }
 
     @property
@@ -217,16 +217,16 @@ class Weighing:
         return {learner: np.array(pairs, np.float64) for learner, pairs in measured.items()}
 
 
-def profiles(of: Mapping[tuple[str, int], NDArray]) -> dict[str, NDArray[np.float64]]:
+def profiles(weights: Mapping[tuple[str, int], NDArray]) -> dict[str, NDArray[np.float64]]:
     """The weight profiles of each learner's seeds: (S, BINS)."""
-    learners = dict.fromkeys(learner for learner, _ in of)
+    learners = dict.fromkeys(learner for learner, _ in weights)
     return {
-        name: np.stack([bin_means(w, BINS).numpy() for (n, _), w in of.items() if n == name])
+        name: np.stack([bin_means(w, BINS).numpy() for (n, _), w in weights.items() if n == name])
         for name in learners
     }
 
 
-def weighed(store: str) -> set[str]:
+def weighed_run_ids(store: str) -> set[str]:
     """The ids of the runs whose buffers have been weighed by learners."""
     found = (report for _, report in reports(Path(store)) if ROWS not in report)
     return {report["data"] for report in found if not weighing_files.is_brush(report)}
@@ -251,12 +251,12 @@ def of_run(run: RunReader, rows: int, *, brush: bool = False) -> list[Weighing]:
     return sorted(kept, key=lambda one: one.written, reverse=True)
 
 
-def every(run: RunReader, rows: int) -> list[Weighing]:
+def all_of_run(run: RunReader, rows: int) -> list[Weighing]:
     """Those of `of_run`; in front of them the live weights of a loop's buffer, if it has any."""
     return [*(live_weights(run) if run.own_loop else ()), *of_run(run, rows)]
 
 
-def called(found: Sequence[Weighing]) -> dict[str, str]:
+def titles(found: Sequence[Weighing]) -> dict[str, str]:
     """`step 30,000, by its own policy` for each name; with the name where several are alike."""
     words = {
         one.name: f"{'all rows' if one.step is None else f'step {one.step:,}'}, by {one.policy}"
@@ -301,7 +301,7 @@ class Brushed:
 
     name: str
     rows: int  # in the region
-    of: int
+    buffer_rows: int
     step: int
     model: dict[str, Any]
     errors: dict[str, dict[float, list[float]]]

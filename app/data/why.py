@@ -10,11 +10,11 @@ from torch import Tensor
 from app.data import buffer
 from app.data.buffer import Floats, Rows
 from app.data.buffer_map import Source
-from app.data.cache import cached, made_once
-from app.data.readers import reader
+from app.data.cache import cached, get_or_make
+from app.data.readers import fresh_reader
 from app.data.weighings import Weighing
 from tom.analysis import why
-from tom.analysis.weighing import load_policy, made_anew
+from tom.analysis.weighing import collect_footprint, load_policy
 from tom.analysis.why import Near, Sum
 from tom.config import OnlineConfig, TomConfig
 from tom.data.transitions import TensorTransitions, Transitions
@@ -28,7 +28,7 @@ from tom.record.store import Store
 from tom.training.resume import recorded_config
 
 NEAREST = 5
-JUDGED = 500
+SAMPLED_ROWS = 500
 """number of rows from which the usual distance to the policy's rows is estimated"""
 ROLLOUTS, STEPS = 24, 10
 DIMENSIONS = "per-dimension weights"
@@ -41,9 +41,9 @@ class Why:
 
     terms: Terms
     config: TomConfig
-    whose: str
+    origin: str
     policy_rows: TensorTransitions  # (M,) the discriminator's rows of the policy
-    among: Tensor  # (M,) the rows of the buffer that these are; (0,) if they were made anew
+    buffer_rows: Tensor  # (M,) the rows of the buffer that these are; (0,) if they were made anew
 
     def sum_of(self, row: int) -> Sum:
         """The terms of a row."""
@@ -53,24 +53,28 @@ class Why:
 def why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
     """The terms of these weights, or a text with the reason why there are none."""
     version = run.version("buffer"), source.version
-    return made_once(("why", run.path, source.label), version, lambda: _why_of(run, rows, source))
+    return get_or_make(("why", run.path, source.label), version, lambda: _why_of(run, rows, source))
 
 
 def _why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
-    made, learner = source.weighing, source.learner
-    if made is not None and made.brush:
+    weighing, learner = source.weighing, source.learner
+    if weighing is not None and weighing.brush:
         return "no learner made these weights: a brush changed them"
     if learner not in WITH_TERMS:
         whose = " and ".join(f"{LEARNERS[name].label}'s" for name in WITH_TERMS)
         return f"only {whose} weights are such a sum, and these are those of {learner}"
-    prefix = "" if made is None else f"{source.column}-"
-    table = reader(run).snapshot(int(source.label)) if made is None else made.table()
+    prefix = "" if weighing is None else f"{source.column}-"
+    table = fresh_reader(run).snapshot(int(source.label)) if weighing is None else weighing.table()
     names = [name for name in Terms.named() if prefix + name in table]
     terms = of_recorded({name: torch.tensor(np.array(table[prefix + name])) for name in names})
     if terms is not None:
         try:
-            of = _of_fit(run, rows) if made is None else _of_weighing(run, source, made)
-            return Why(terms, *of)
+            context = (
+                _fit_context(run, rows)
+                if weighing is None
+                else _weighing_context(run, source, weighing)
+            )
+            return Why(terms, *context)
         except (UserError, OSError, ValueError, KeyError) as error:
             return str(error)
     if np.ptp(rows.weight) == 0:
@@ -81,7 +85,7 @@ def _why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
     )
 
 
-def _of_fit(run: RunReader, rows: Rows) -> tuple[TomConfig, str, TensorTransitions, Tensor]:
+def _fit_context(run: RunReader, rows: Rows) -> tuple[TomConfig, str, TensorTransitions, Tensor]:
     """What belongs to the terms of a run's own fit; the policy's rows are the buffer's newest."""
     config = recorded_config(run)
     if isinstance(config, OnlineConfig):
@@ -89,7 +93,7 @@ def _of_fit(run: RunReader, rows: Rows) -> tuple[TomConfig, str, TensorTransitio
         newest = min(taken, config.policy_capacity, len(rows))
         among = torch.arange(len(rows) - newest, len(rows))
     else:
-        shown = reader(run).field("data", 0).get("footprint")
+        shown = fresh_reader(run).field("data", 0).get("footprint")
         if shown is None:
             raise UserError("the run did not keep which of its rows are the policy's")
         among = torch.from_numpy(np.flatnonzero(shown))
@@ -97,15 +101,15 @@ def _of_fit(run: RunReader, rows: Rows) -> tuple[TomConfig, str, TensorTransitio
     return tom, "the run's own fit", rows.rows.torch()[among], among
 
 
-def _of_weighing(
-    run: RunReader, source: Source, made: Weighing
+def _weighing_context(
+    run: RunReader, source: Source, weighing: Weighing
 ) -> tuple[TomConfig, str, TensorTransitions, Tensor]:
     """What belongs to the terms of a weighing, for which the policy's rows were made anew."""
-    tom, known = TomConfig.model_validate(made.report["config"]["tom"]), task(run.env)
-    policy = load_policy(made.report["policy"], Store(run.home.parent), known, made.step)
-    seed, count = int(source.column.rpartition("-s")[2]), int(made.report["footprint"])
-    anew = made_anew(known, policy, count, seed).transitions.torch()
-    return tom, f"the weighing {made.name}", anew, torch.arange(0)
+    tom, known = TomConfig.model_validate(weighing.report["config"]["tom"]), task(run.env)
+    policy = load_policy(weighing.report["policy"], Store(run.home.parent), known, weighing.step)
+    seed, count = int(source.column.rpartition("-s")[2]), int(weighing.report["footprint"])
+    anew = collect_footprint(known, policy, count, seed).transitions.torch()
+    return tom, f"the weighing {weighing.name}", anew, torch.arange(0)
 
 
 @dataclass(frozen=True)
@@ -121,7 +125,7 @@ class Neighbours:
 def neighbours(rows: Rows, found: Why, row: int) -> Neighbours:
     """The policy's transitions nearest to a row of the buffer, but for the row itself."""
     replay, policy_rows = rows.rows.torch(), found.policy_rows
-    here = (found.among == row).nonzero().flatten().tolist() if len(policy_rows) > 1 else []
+    here = (found.buffer_rows == row).nonzero().flatten().tolist() if len(policy_rows) > 1 else []
     near = why.nearest(replay, row, policy_rows, NEAREST, itself=here[0] if here else None)
     own = usual = float("nan")
     if half := len(policy_rows) // 2:
@@ -130,10 +134,10 @@ def neighbours(rows: Rows, found: Why, row: int) -> Neighbours:
         one_half = torch.arange(len(replay), len(joined))
         own = usual = why.usual_distance(joined, policy_rows[half:], one_half)
     other = torch.ones(len(replay), dtype=torch.bool)
-    other[found.among] = False
+    other[found.buffer_rows] = False
     others = other.nonzero().flatten()
     if len(others):
-        judged = torch.linspace(0, len(others) - 1, min(JUDGED, len(others))).long()
+        judged = torch.linspace(0, len(others) - 1, min(SAMPLED_ROWS, len(others))).long()
         usual = why.usual_distance(replay, policy_rows, others[judged])
     return Neighbours(near, policy_rows[near.index].numpy(), usual, own)
 
@@ -149,7 +153,7 @@ def starts(run: RunReader, rows: Rows, row: int) -> tuple[float, float] | None:
         settings = None
     if settings is None:
         return None
-    part = reader(run)
+    part = fresh_reader(run)
     # Weights of dimensions scale the loss, and draw nothing.
     weighs_dimensions = DIMENSIONS in run.left_out or any(
         "dim_0" in part.snapshot(step) for step in reversed(part.snapshot_steps())

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from app.theme import DIVERGING, NEUTRAL, Mode, faded
+from app.theme import DIVERGING, NEUTRAL, Mode, with_alpha
 from tom import readable
 from tom.envs import ROAD
 
@@ -39,7 +39,7 @@ OCTAVES = 4.0
 """the colours range at most from 1/16 to 16 times the uniform weight"""
 
 
-def steps_in_words(envs: Iterable[str]) -> str:
+def step_axis_title(envs: Iterable[str]) -> str:
     """The title of a step axis: on a fixed data set, steps are not environment steps."""
     shown = set(envs)
     if ROAD not in shown:
@@ -47,7 +47,7 @@ def steps_in_words(envs: Iterable[str]) -> str:
     return "steps of policy optimisation" if shown == {ROAD} else "steps"
 
 
-def styled(
+def set_layout(
     figure: go.Figure,
     x: str,
     height: int,
@@ -63,9 +63,9 @@ def styled(
 
     `keep` names what is drawn, such as a run: a zoom on one would show nothing of another.
     The page has the figure's title; `x` and `y` are those of the axes. `marks` are lines made by
-    `across` and `upright`; `x_axis`, `y_axis` and `layout` are further settings of Plotly. Only for
-    a figure with one pair of axes and no layout yet, because setting a whole layout takes a third
-    of the time of updates.
+    `horizontal_line` and `vertical_line`; `x_axis`, `y_axis` and `layout` are further settings of
+    Plotly. Only for a figure with one pair of axes and no layout yet, because setting a whole
+    layout takes a third of the time of updates.
     """
     titles = {"text": x}, {**Y_AXIS["title"], **({} if y is None else {"text": y})}
     own = {
@@ -83,7 +83,7 @@ def styled(
 def panels(rows: int, columns: int, height: int, keep: str, **how: Any) -> go.Figure:
     """Several axes with the common layout, `how` they share and lie (`make_subplots`).
 
-    The user's zoom is kept as in `styled`.
+    The user's zoom is kept as in `set_layout`.
     """
     figure = make_subplots(rows, columns, **how)
     figure.update_layout(LAYOUT | {"height": height, "uirevision": keep})
@@ -106,13 +106,13 @@ def line(
     return go.Scatter(x=x, y=y, line=style, hovertemplate=hover, **({"mode": "lines"} | more))
 
 
-def across(y: float, width: float, dash: str | None = None) -> dict[str, Any]:
+def horizontal_line(y: float, width: float, dash: str | None = None) -> dict[str, Any]:
     """A horizontal line at height `y`."""
     ends = {"x0": 0, "x1": 1, "xref": "x domain", "y0": y, "y1": y, "yref": "y"}
     return {"type": "line", **ends, "line": {"color": NEUTRAL, "width": width, "dash": dash}}
 
 
-def upright(x: float, width: float, dash: str | None = None) -> dict[str, Any]:
+def vertical_line(x: float, width: float, dash: str | None = None) -> dict[str, Any]:
     """A vertical line at `x`."""
     ends = {"x0": x, "x1": x, "xref": "x", "y0": 0, "y1": 1, "yref": "y domain"}
     return {"type": "line", **ends, "line": {"color": NEUTRAL, "width": width, "dash": dash}}
@@ -126,7 +126,7 @@ def band(
         x=np.concatenate([x, x[::-1]]),
         y=np.concatenate([high, low[::-1]]),
         fill="toself",
-        fillcolor=faded(colour, opacity),
+        fillcolor=with_alpha(colour, opacity),
         line={"width": 0},
         mode="lines",
         hoverinfo="skip",
@@ -141,15 +141,15 @@ def dashes(learners: Sequence[str]) -> list[str]:
     return [DASHES[count % len(DASHES)] for count in counts]
 
 
-def note(figure: go.Figure, words: Sequence[str], right: float = 1) -> go.Figure:
+def note(figure: go.Figure, remarks: Sequence[str], right: float = 1) -> go.Figure:
     """Remarks in the figure's corner, one below the other; none if there are no words.
 
     They end at `right`, a share of the figure's width.
     """
-    if words:
+    if remarks:
         place = {"x": right, "y": 0, "xref": "paper", "yref": "paper"}
         corner = {"xanchor": "right", "yanchor": "bottom", "showarrow": False, "opacity": 0.75}
-        figure.add_annotation(text="<br>".join(words), **place, **corner, font={"size": 11})
+        figure.add_annotation(text="<br>".join(remarks), **place, **corner, font={"size": 11})
     return figure
 
 
@@ -159,7 +159,7 @@ def octaves(weight: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.clip(np.log2(weight), -OCTAVES, OCTAVES)
 
 
-def span(weight: NDArray[np.float64]) -> float:
+def covered_octaves(weight: NDArray[np.float64]) -> float:
     """The octaves around the uniform weight that the colours must cover: 1 to OCTAVES."""
     reach = np.abs(octaves(weight[np.isfinite(weight)]))
     needed = np.ceil(np.quantile(reach, 0.98)) if len(reach) else 1.0
@@ -174,7 +174,7 @@ def relative_scale(
     They cover these weights, or `reach` octaves if figures are to be compared. The bar marks an end
     beyond which there are weights.
     """
-    reach = span(weight) if reach is None else reach
+    reach = covered_octaves(weight) if reach is None else reach
     ticks = np.arange(-reach, reach + 1, 2 if reach == OCTAVES else 1)
     words = [readable.factor(2.0**t) for t in ticks]
     if (weight < 2**-reach).any():
@@ -202,13 +202,17 @@ def decimate(
     return step[keep], value[keep], True
 
 
-def left_out(lines: Sequence[tuple[NDArray, NDArray]], *, log_x: bool, log_y: bool) -> list[str]:
+def dropped_by_log_axes(
+    lines: Sequence[tuple[NDArray, NDArray]], *, log_x: bool, log_y: bool
+) -> list[str]:
     """In words, which points of lines, x (T,) and y (T,) each, log axes leave out; may be empty."""
-    total = gone = 0
+    total = dropped = 0
     for x, y in lines:
         total += int(np.isfinite(y).sum())
-        gone += int((np.isfinite(y) & ((log_x & (x <= 0)) | (log_y & (y <= 0)))).sum())
-    return [f"{gone:,} of {total:,} values at or below zero: not on a log axis"] if gone else []
+        dropped += int((np.isfinite(y) & ((log_x & (x <= 0)) | (log_y & (y <= 0)))).sum())
+    return (
+        [f"{dropped:,} of {total:,} values at or below zero: not on a log axis"] if dropped else []
+    )
 
 
 def cut_bands(figure: go.Figure, *, log_x: bool, log_y: bool) -> None:

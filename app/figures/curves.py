@@ -1,4 +1,4 @@
-"""Metrics against env steps or another axis: groups of runs, with their looks and bands.
+"""Metrics against env steps or another axis: groups of runs, with their styles and bands.
 
 The lines of groups have names at their ends, in place of a legend.
 """
@@ -20,11 +20,11 @@ from app.figures.base import (
     band,
     cut_bands,
     decimate,
-    left_out,
+    dropped_by_log_axes,
     line,
     note,
-    steps_in_words,
-    styled,
+    set_layout,
+    step_axis_title,
 )
 from app.theme import (
     NEUTRAL,
@@ -34,12 +34,12 @@ from app.theme import (
     learner_colour,
     learner_label,
     learner_symbol,
-    mixed,
+    mix,
     ramp,
     shades,
 )
 from tom.analysis.curves import GRID, Curve, Group, smoothed
-from tom.analysis.settings import USUAL, Kind, natural, number
+from tom.analysis.settings import USUAL, Kind, natural_sort_key, number
 from tom.envs import ROAD
 from tom.learners import SUBJECT
 
@@ -57,7 +57,7 @@ GAP, LETTER, ROOM = 15, 6.4, 14
 
 
 @dataclass(frozen=True)
-class Look:
+class Style:
     """The title and style of a group, the same in every figure."""
 
     title: str
@@ -68,10 +68,10 @@ class Look:
     """the paler colour inside a line that is hollow; its edge has the `colour`"""
 
 
-def looks_of(
+def styles_of(
     groups: Iterable[tuple[str, Kind]], by: str = USUAL, mode: Mode = "light"
-) -> dict[Kind, Look]:
-    """The look of every kind among the groups, which are pairs (environment, kind).
+) -> dict[Kind, Style]:
+    """The style of every kind among the groups, which are pairs (environment, kind).
 
     A learner has its own hue, each of its groups a shade of it. Grouped by a setting, each value
     has its own colour, in order if the values are numbers; groups of learners without that setting
@@ -81,20 +81,20 @@ def looks_of(
     kinds = sorted({kind for _, kind in groups})
     if by in (USUAL, "learner"):
         offline = {kind for env, kind in groups if env == ROAD}  # where the paper's is the main one
-        return {kind: _look(kind, _title(kind, kinds), kind in offline) for kind in kinds}
+        return {kind: _style(kind, _title(kind, kinds), kind in offline) for kind in kinds}
     values = [kind for kind in kinds if not kind.learner]
-    values.sort(key=lambda kind: natural(" ".join(kind)))
+    values.sort(key=lambda kind: natural_sort_key(" ".join(kind)))
     # Seeds are numbers without a meaning.
     ordered = by != "seed" and all(number(kind, by) is not None for kind in values)
     colours = ramp(len(values), mode) if ordered else QUALITATIVE
-    styles = [(colour, dash) for dash in DASHES for colour in colours]
-    looks = {
-        kind: Look(_title(kind, values), *style, SYMBOLS[i % len(SYMBOLS)])
-        for i, (kind, style) in enumerate(zip(values, cycle(styles), strict=False))
+    pairs = [(colour, dash) for dash in DASHES for colour in colours]
+    styles = {
+        kind: Style(_title(kind, values), *style, SYMBOLS[i % len(SYMBOLS)])
+        for i, (kind, style) in enumerate(zip(values, cycle(pairs), strict=False))
     }
     learnt = [kind for kind in kinds if kind.learner]
-    return looks | {
-        kind: Look(_title(kind, learnt), NEUTRAL, dash, learner_symbol(kind.learner))
+    return styles | {
+        kind: Style(_title(kind, learnt), NEUTRAL, dash, learner_symbol(kind.learner))
         for kind, dash in zip(learnt, cycle(DASHES), strict=False)
     }
 
@@ -103,23 +103,23 @@ def _title(kind: Kind, among: Iterable[Kind]) -> str:
     """The learner, such as `TOM`, then the preset if its learner has several, and the settings."""
     presets = {other.preset for other in among if other.learner == kind.learner}
     preset = kind.preset if len(presets) > 1 or not kind.learner else ""
-    called = " ".join(filter(None, (learner_label(kind.learner), preset)))
-    return ", ".join(filter(None, (called, kind.variant)))
+    name = " ".join(filter(None, (learner_label(kind.learner), preset)))
+    return ", ".join(filter(None, (name, kind.variant)))
 
 
-def _look(kind: Kind, title: str, offline: bool) -> Look:
-    """A group's look: the hue of its learner, and a pale core unless it is of the main preset.
+def _style(kind: Kind, title: str, offline: bool) -> Style:
+    """A group's style: the hue of its learner, and a pale core unless it is of the main preset.
 
     It depends on nothing but the group itself, so that no filter changes it.
     """
     main = "mended" if kind.learner == SUBJECT and not offline else "paper"
     colour = learner_colour(kind.learner)
     if kind.variant:
-        grey = shades(mixed(colour, NEUTRAL, 0.5))
+        grey = shades(mix(colour, NEUTRAL, 0.5))
         colour = grey[blake2b(kind.variant.encode(), digest_size=1).digest()[0] * len(grey) // 256]
     pale = {"": 0.0, main: 0.0, "smoke": 0.3}.get(kind.preset, 0.6)
-    core = mixed(colour, "#ffffff", pale) if pale else ""
-    return Look(title, colour, "solid", learner_symbol(kind.learner), core)
+    core = mix(colour, "#ffffff", pale) if pale else ""
+    return Style(title, colour, "solid", learner_symbol(kind.learner), core)
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def short_title(metric: str) -> str:
     return SHORT_TITLES.get(metric, metric)
 
 
-def alone(curve: Curve, name: str) -> Group:
+def single_run_group(curve: Curve, name: str) -> Group:
     """A run as a group of its own, also where it goes to and fro along the x axis."""
     step, value, cut = decimate(curve.step, curve.value, POINTS)
     nothing, one = np.full(len(step), np.nan), np.ones(len(step), np.int64)
@@ -168,34 +168,34 @@ def group_curves(
     singles: bool,
     axes: Axes = PLAIN,
     window: int = 1,
-    looks: Mapping[Kind, Look] | None = None,
+    styles: Mapping[Kind, Style] | None = None,
 ) -> go.Figure:
     """One line per group with its band, thin lines for single runs, dots if runs are missing.
 
-    Lines and bands are averaged over `window` points, and the figure says so. `looks` are those of
+    Lines and bands are averaged over `window` points, and the figure says so. `styles` are those of
     all groups of a comparison, also of those in other figures.
     """
     figure = go.Figure()
     drawn: list[tuple[NDArray, NDArray]] = []
-    styles = looks or looks_of((group.env, group.kind) for group in groups)
+    by_kind = styles or styles_of((group.env, group.kind) for group in groups)
     named: dict[str, list[str]] = {}
     for group in groups:
-        smooth, look, key = (
+        smooth, style, key = (
             smoothed(group, window),
-            styles[group.kind],
-            _key(group.env, *group.kind),
+            by_kind[group.kind],
+            _css_key(group.env, *group.kind),
         )
-        named[key] = [text.plotly(look.title), text.plotly(group.kind.preset)]
+        named[key] = [text.plotly(style.title), text.plotly(group.kind.preset)]
         drawn.append((smooth.step, smooth.mean))
         if singles and group.n > 1:
-            figure.add_traces([_single(curve, look, key) for curve in group.curves])
+            figure.add_traces([_run_line(curve, style, key) for curve in group.curves])
             drawn += [(curve.step, curve.value) for curve in group.curves]
         if (here := np.isfinite(group.low)).any():
             ends = smooth.step[here], smooth.low[here], smooth.high[here]
-            around = band(*ends, look.core or look.colour, key)
+            around = band(*ends, style.core or style.colour, key)
             figure.add_trace(around.update(uid=f"{key}band", name="band"))
-        figure.add_traces(_middle(smooth, look, key))
-    x = steps_in_words(group.env for group in groups)
+        figure.add_traces(_group_lines(smooth, style, key))
+    x = step_axis_title(group.env for group in groups)
     x = x if axes.x == ENV_STEPS else text.plotly(axes.x)
     x_axis: dict[str, Any] = {"type": "log" if axes.log_x else "linear"}
     lines: list[Any] = list(figure.data)
@@ -203,7 +203,7 @@ def group_curves(
         # With a single point Plotly would show a tiny range around it: start the axis at zero.
         x_axis |= {"rangemode": "tozero", "autorangeoptions": {"include": 0}}
     # One label for all lines at a step, the highest first; `meta` is for a saved figure and table.
-    styled(
+    set_layout(
         figure, x, height, keep=f"{metric} {axes}", x_axis=x_axis,
         y_axis={"type": "log" if axes.log_y else "linear"}, hovermode="x unified",
         hoversort="value descending", meta={"y": short_title(metric), "groups": named},
@@ -214,11 +214,11 @@ def group_curves(
     if singles and any(len(c.step) > POINTS for g in groups if g.n > 1 for c in g.curves):
         words.append(f"single runs thinned to {POINTS} points each")
     cut_bands(figure, log_x=axes.log_x, log_y=axes.log_y)
-    words += left_out(drawn, log_x=axes.log_x, log_y=axes.log_y)
+    words += dropped_by_log_axes(drawn, log_x=axes.log_x, log_y=axes.log_y)
     return note(figure, words)
 
 
-def _key(*words: str) -> str:
+def _css_key(*words: str) -> str:
     """A name for these words that Plotly can make a CSS class of, whatever they are."""
     return blake2b("\n".join(words).encode(), digest_size=8).hexdigest()
 
@@ -234,16 +234,16 @@ def return_line(curve: Curve, **more: Any) -> tuple[go.Scatter, list[str]]:
     return drawn, [f"returns thinned to {POINTS} points a line"] if cut else []
 
 
-def _single(curve: Curve, look: Look, key: str) -> go.Scatter:
+def _run_line(curve: Curve, style: Style, key: str) -> go.Scatter:
     step, value, _ = decimate(curve.step, curve.value, POINTS)
     hover = f"{text.plotly(learner_label(curve.learner))} s{curve.seed}: %{{y:.4g}}<extra></extra>"
     return line(
         step,
         value,
-        look.colour,
+        style.colour,
         1,
         hover,
-        uid=_key(curve.run_id),
+        uid=_css_key(curve.run_id),
         name=text.plotly(curve.run_id),
         meta=curve.run_id,
         opacity=0.35,
@@ -252,7 +252,7 @@ def _single(curve: Curve, look: Look, key: str) -> go.Scatter:
     )
 
 
-def _middle(group: Group, look: Look, key: str) -> list[go.Scatter]:
+def _group_lines(group: Group, style: Style, key: str) -> list[go.Scatter]:
     """The line of a group: solid where all its runs are, and dotted elsewhere."""
     full, runs = group.complete, [curve.run_id for curve in group.curves]
     count = f"n = {group.n}" if group.n > 1 else "1 seed, no band"
@@ -265,40 +265,40 @@ def _middle(group: Group, look: Look, key: str) -> list[go.Scatter]:
         parts.append((np.ones_like(full), np.where(near, group.mean, np.nan), False))
     marked = len(group.step) < 40 and not group.interpolated
     statistic = {"mean": "mean", "median": "median", "iqm": "IQM"}[group.statistic]
-    title = look.title if len(look.title) <= LONGEST else f"{look.title[: LONGEST - 3]}..."
+    title = style.title if len(style.title) <= LONGEST else f"{style.title[: LONGEST - 3]}..."
     hover = f"<b>{text.plotly(title)}</b> {statistic}, n = %{{customdata}}: %{{y:.4g}}"
     lines = [
         line(
             group.step[here],
             value,
-            look.colour,
-            (HOLLOW if look.core else 2.6) if whole else 1.6,
+            style.colour,
+            (HOLLOW if style.core else 2.6) if whole else 1.6,
             f"{hover}<extra></extra>",
-            dash=look.dash if whole else "dot",
+            dash=style.dash if whole else "dot",
             customdata=group.count[here],
             uid=f"{key}line" if i == 0 else f"{key}dots",
-            name=text.plotly(f"{look.title} ({count})") if i == 0 else "fewer runs than n",
+            name=text.plotly(f"{style.title} ({count})") if i == 0 else "fewer runs than n",
             meta=runs if group.n > 1 else next(iter(runs), None),
             mode="lines+markers" if marked and whole else "lines",
-            marker={"size": 6, "symbol": look.symbol},
+            marker={"size": 6, "symbol": style.symbol},
             legendgroup=key,
             showlegend=i == 0,
         )
         for i, (here, value, whole) in enumerate(parts)
     ]
-    if look.core and full.any():
-        inside = core(group.step[full], group.mean[full], look)
+    if style.core and full.any():
+        inside = core_line(group.step[full], group.mean[full], style)
         lines.append(inside.update(uid=f"{key}core", meta=lines[0].meta, legendgroup=key))
     return lines
 
 
-def core(x: NDArray, y: NDArray, look: Look) -> go.Scatter:
+def core_line(x: NDArray, y: NDArray, style: Style) -> go.Scatter:
     """The inside of a hollow line, drawn over it."""
-    return line(x, y, look.core, HOLLOW - 2.4, None, hoverinfo="skip", showlegend=False, name=CORE)
+    return line(x, y, style.core, HOLLOW - 2.4, None, hoverinfo="skip", showlegend=False, name=CORE)
 
 
 def label_ends(
-    figure: go.Figure, groups: Sequence[Group], looks: Mapping[Kind, Look], axes: Axes
+    figure: go.Figure, groups: Sequence[Group], styles: Mapping[Kind, Style], axes: Axes
 ) -> go.Figure:
     """Name every group's line at the right of the figure, at the height where it ends.
 
@@ -306,7 +306,7 @@ def label_ends(
     at or below zero on a log axis, the legend stays.
     """
     ends = [
-        (float(group.mean[np.isfinite(group.mean)][-1]), looks[group.kind], group.n)
+        (float(group.mean[np.isfinite(group.mean)][-1]), styles[group.kind], group.n)
         for group in groups
     ]
     if axes.log_y and any(y <= 0 for y, _, _ in ends):
@@ -320,12 +320,12 @@ def label_ends(
     low, high = float(values.min()), float(values.max())
     span = (high - low) or 1.0
     pixels = (figure.layout.height or 300) - 60  # type: ignore[attr-defined]
-    place = moved_apart((ys - low) / span * pixels, GAP)
+    place = spread_apart((ys - low) / span * pixels, GAP)
     names = [f"{look.title} ({n})" for _, look, n in ends]
-    for name, (_, look, _), at in zip(names, ends, place, strict=True):
-        mark = HOLLOW_MARK if look.core else MARK
+    for name, (_, style, _), at in zip(names, ends, place, strict=True):
+        mark = HOLLOW_MARK if style.core else MARK
         figure.add_annotation(
-            text=f'<span style="color:{look.colour}">{mark}</span> {text.plotly(name)}',
+            text=f'<span style="color:{style.colour}">{mark}</span> {text.plotly(name)}',
             x=1, xref="paper", xanchor="left", xshift=6,
             y=low + at / pixels * span, yref="y", yanchor="middle", showarrow=False,
             font={"size": 12},
@@ -335,7 +335,7 @@ def label_ends(
     return figure
 
 
-def moved_apart(places: np.ndarray, gap: float) -> np.ndarray:
+def spread_apart(places: np.ndarray, gap: float) -> np.ndarray:
     """The places (n,), moved a little so that no two are nearer than `gap`."""
     order = np.argsort(places, kind="stable")
     moved = places[order].astype(np.float64)

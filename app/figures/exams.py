@@ -9,9 +9,9 @@ import plotly.graph_objects as go
 from app import text
 from app.data.buffer import Floats
 from app.data.exams import Exams
-from app.figures.base import dashes, line, note, panels, styled, upright
+from app.figures.base import dashes, line, note, panels, set_layout, vertical_line
 from app.figures.weights import AGES, AT_AGE, PLACE, bin_centres
-from app.theme import faded, learner_colour, learner_label, learner_symbol
+from app.theme import learner_colour, learner_label, learner_symbol, with_alpha
 from tom.readable import score, short
 from tom.spread import spread
 
@@ -25,21 +25,25 @@ def footprint_error_return(exams: Sequence[Exams], height: int) -> go.Figure:
     """One point per fit, coloured by learner: footprint and next return against error.
 
     Both panels share the error axis, so that a fit is at the same height in both. Uninformative
-    footprints (`Exams.telling`) are left out of the first panel, which says so.
+    footprints (`Exams.informative`) are left out of the first panel, which says so.
     """
     keep = " ".join(["exams", *(run.run_id for run in exams)])
     figure = panels(1, 2, height, keep, shared_yaxes=True, horizontal_spacing=0.03)
     share = min(FITS / max(sum(len(run.step) for run in exams), 1), 1.0)
-    shown = [run.at(spread(len(run.step), int(np.ceil(share * len(run.step))))) for run in exams]
+    shown = [
+        run.subset(spread(len(run.step), int(np.ceil(share * len(run.step))))) for run in exams
+    ]
     for learner in dict.fromkeys(run.learner for run in shown):
         runs = [run for run in shown if run.learner == learner]
-        figure.add_trace(_points(learner, [run.at(run.telling) for run in runs], "footprint"), 1, 1)
+        figure.add_trace(
+            _points(learner, [run.subset(run.informative) for run in runs], "footprint"), 1, 1
+        )
         figure.add_trace(_points(learner, runs, "returns"), 1, 2)
         # The legend's entry, also if the first panel has none of the learner's points.
         key = {"size": LEGEND, "color": learner_colour(learner), "symbol": learner_symbol(learner)}
         named = {"name": text.plotly(learner_label(learner)), "legendgroup": text.plotly(learner)}
         figure.add_trace(go.Scatter(x=[None], y=[None], mode="markers", marker=key, **named), 1, 1)
-    figure.update_layout(shapes=[upright(0, 1, "dot"), upright(1, 1, "dot")])
+    figure.update_layout(shapes=[vertical_line(0, 1, "dot"), vertical_line(1, 1, "dot")])
     figure.update_yaxes(type="log", tickvals=TICKS, ticktext=[f"{at:g}" for at in TICKS])
     footprint = "footprint (0: the policy itself, 1: as without weights)"
     figure.update_xaxes(title_text=footprint, col=1)
@@ -47,7 +51,7 @@ def footprint_error_return(exams: Sequence[Exams], height: int) -> go.Figure:
     figure.update_yaxes(title_text="one-step error in the exam (std)", col=1)
     fits, drawn = (sum(len(run.step) for run in of) for of in (exams, shown))
     words = [f"{drawn:,} of {fits:,} fits are drawn"] if drawn < fits else []
-    if mute := sum(int((~run.telling).sum()) for run in exams):
+    if mute := sum(int((~run.informative).sum()) for run in exams):
         words.append(f"without {mute:,} of {fits:,} fits, whose footprint says nothing")
     return note(figure, words, right=0.48)
 
@@ -62,14 +66,14 @@ def _points(learner: str, runs: Sequence[Exams], x: str) -> go.Scatter:
         name=text.plotly(learner_label(learner)),
         meta=text.plotly(learner),
         mode="markers",
-        marker={"size": 6, "color": faded(colour, 0.8), "line": {"width": 0}} | symbol,
+        marker={"size": 6, "color": with_alpha(colour, 0.8), "line": {"width": 0}} | symbol,
         legendgroup=text.plotly(learner),
         showlegend=False,
     )
 
 
 def _hover(run: Exams, i: int) -> str:
-    nothing = "" if run.telling[i] else ": says nothing"
+    nothing = "" if run.informative[i] else ": says nothing"
     return (
         f"<b>{text.plotly(run.group)}</b> seed {run.seed}<br>{text.plotly(run.run_id)}"
         f"<br>fit at step {run.step[i]:,}"
@@ -87,8 +91,8 @@ def errors_by_age(
     A zoom lasts while `keep`, the id of the buffer's run, is the same.
     """
     figure = go.Figure()
-    usual = dashes([learner for _, learner, _ in errors])
-    for (name, learner, error), dash in zip(errors, usual, strict=True):
+    dash_styles = dashes([learner for _, learner, _ in errors])
+    for (name, learner, error), dash in zip(errors, dash_styles, strict=True):
         parts = np.array_split(error, min(bins, len(error)))
         means, colour = [part.mean() for part in parts], learner_colour(learner)
         hover = f"{text.plotly(name)}<br>{AT_AGE}<br>error %{{y:.3g}}<extra></extra>"
@@ -98,4 +102,4 @@ def errors_by_age(
     lone: dict[str, Any] = {"showlegend": True}  # a single one may be of another run
     zero, kept = {"rangemode": "tozero"}, f"errors by age {keep}"
     y = "one-step error (std)"
-    return styled(figure, PLACE, height, keep=kept, y=y, x_axis=AGES, y_axis=zero, **lone)
+    return set_layout(figure, PLACE, height, keep=kept, y=y, x_axis=AGES, y_axis=zero, **lone)

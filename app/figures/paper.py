@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 
-from app.figures.curves import HOLLOW_MARK, MARK, moved_apart
+from app.figures.curves import HOLLOW_MARK, MARK, spread_apart
 from app.theme import NEUTRAL
 
 WIDTHS = {"one": 3.4, "two": 7.0}
@@ -71,7 +71,7 @@ def paper_figure(shown: Mapping[str, Any], width: str, kind: str) -> bytes:
             pairs = zip(shown["traces"], drawn, strict=True)
             handles = [one for trace, one in pairs if trace["showlegend"]]
             figure.legend(
-                handles, [_plain(trace["name"]) for trace in keyed], loc="upper left",
+                handles, [_plain_text(trace["name"]) for trace in keyed], loc="upper left",
                 ncols=beside, fontsize=TEXT, bbox_to_anchor=(0.02, 1), borderaxespad=0.1,
                 handlelength=1.6, columnspacing=1,
             )  # fmt: skip
@@ -105,9 +105,9 @@ def _axes(figure: Figure, pair: Mapping[str, Any], inches: float) -> Axes:
         if axis["type"] == "log":
             axes.set(**{f"{name}scale": "log"})
         ends = [10**end if axis["type"] == "log" else end for end in axis["range"]]
-        title = fill(_plain(axis["title"]), int(12 * inches) if name == "x" else 60)
+        title = fill(_plain_text(axis["title"]), int(12 * inches) if name == "x" else 60)
         if axis["tickvals"]:
-            lines = (_plain(word).split("\n") for word in axis["ticktext"])
+            lines = (_plain_text(word).split("\n") for word in axis["ticktext"])
             words = ["\n".join(fill(line, ROWS) for line in of) for of in lines]
             axes.set(**{f"{name}ticks": axis["tickvals"], f"{name}ticklabels": words})
             axes.minorticks_off()
@@ -170,7 +170,7 @@ def _labels(axes: Axes, labels: Sequence[Mapping[str, Any]], points: float) -> N
     at = [inverse.transform((0, one["y"]))[1] for one in labels]
     if axes.get_yscale() == "log":  # a label's place on a log axis is already a logarithm
         at = [(one["y"] - np.log10(low)) / (np.log10(high) - np.log10(low)) for one in labels]
-    for one, place in zip(labels, moved_apart(points * np.array(at), 1.25 * TEXT), strict=True):
+    for one, place in zip(labels, spread_apart(points * np.array(at), 1.25 * TEXT), strict=True):
         height, colour = place / points, re.search(r"color:(#[0-9a-fA-F]{6})", one["text"])
         if colour:
             parts = [(colour[1], 2.0)] + [("white", 1.0)] * (HOLLOW_MARK in one["text"])
@@ -179,7 +179,7 @@ def _labels(axes: Axes, labels: Sequence[Mapping[str, Any]], points: float) -> N
                     (1.015, 1.035), (height, height), transform=axes.transAxes, clip_on=False,
                     color=part, linewidth=width,
                 )  # fmt: skip
-        axes.text(1.05, height, _plain(one["text"]), transform=axes.transAxes, va="center")
+        axes.text(1.05, height, _plain_text(one["text"]), transform=axes.transAxes, va="center")
 
 
 def _numbers(values: Sequence[Any]) -> np.ndarray:
@@ -204,6 +204,6 @@ def _rgba(colour: str) -> tuple[float, float, float, float]:
     return red / 255, green / 255, blue / 255, alpha[0] if alpha else 1.0
 
 
-def _plain(words: str) -> str:
+def _plain_text(label: str) -> str:
     """A label without its HTML and the mark of its colour."""
-    return re.sub(f"<[^>]*>|[{MARK}{HOLLOW_MARK}] ?", "", words.replace("<br>", "\n")).strip()
+    return re.sub(f"<[^>]*>|[{MARK}{HOLLOW_MARK}] ?", "", label.replace("<br>", "\n")).strip()

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from app import text
 from app.data.buffer import WINDOW
 from app.data.replays import Replay
-from app.figures.base import line, note, panels, steps_in_words, styled
+from app.figures.base import line, note, panels, set_layout, step_axis_title
 from app.figures.curves import return_line
 from app.theme import NEUTRAL, learner_colour, learner_label
 from tom.analysis.curves import Curve
 
-MOST = 12
+MAX_DIMENSIONS = 12
 """maximum number of drawn dimensions; the figure says if some were left out"""
 HEAVY, LIGHT = "#c2571f", "#4f7fc9"
 
@@ -48,8 +48,8 @@ def return_curve(
             )
         )
     lone = {"range": [0, 2 * step], "tickvals": [step]} if len(curve.step) < 2 else {}
-    x, kept = steps_in_words([curve.env]), f"returns {curve.run_id}"
-    styled(figure, x, height, keep=kept, y="return", x_axis=lone)
+    x, kept = step_axis_title([curve.env]), f"returns {curve.run_id}"
+    set_layout(figure, x, height, keep=kept, y="return", x_axis=lone)
     return note(figure, thinned)
 
 
@@ -62,7 +62,7 @@ def episode_curves(replay: Replay, frame: int, height: int) -> go.Figure:
         two = np.append(replay.imagined.reward, blank), np.append(blank, replay.error)
         lines.append((name, learner_colour(replay.learner), np.stack(two, 1)))
         words.append("distance (std)")
-    figure = _of_episode(replay, lines, words, frame, height, "rewards")
+    figure = _episode_figure(replay, lines, words, frame, height, "rewards")
     nothing = replay.imagined is not None and not np.isfinite(replay.error).any()
     return note(
         figure, ["no distance: a single step, or steps that are all alike, give no scale"] * nothing
@@ -74,25 +74,25 @@ def observed_curves(replay: Replay, frame: int, height: int) -> go.Figure:
     lines = [("real", NEUTRAL, np.asarray(replay.episode.obs))]
     if replay.imagined is not None:
         lines.append(("imagined", learner_colour(replay.learner), replay.imagined.obs))
-    return _of_episode(replay, lines, replay.names, frame, height, "observations")
+    return _episode_figure(replay, lines, replay.names, frame, height, "observations")
 
 
-def _of_episode(
+def _episode_figure(
     replay: Replay,
     lines: Sequence[tuple[str, str, NDArray]],
     names: Sequence[str],
     frame: int,
     height: int,
-    of: str,
+    what: str,
 ) -> go.Figure:
     """Lines (name, colour, (H + 1, D)) against seconds, with the frame marked."""
     seconds = replay.dt * np.arange(len(replay.episode.obs))
-    figure = _dimensions(seconds, "seconds", lines, names, height, f"{of} {replay.name}")
+    figure = _dimension_panels(seconds, "seconds", lines, names, height, f"{what} {replay.name}")
     mark = {"color": NEUTRAL, "width": 1.5, "dash": "dot"}
     return figure.add_vline(x=frame * replay.dt, line=mark)
 
 
-def moments_figure(
+def observation_windows(
     heavy: NDArray, light: NDArray, names: Sequence[str], height: int, keep: str
 ) -> go.Figure:
     """Observations around heavy and light transitions, (R, 2 WINDOW + 1, O) each.
@@ -102,10 +102,10 @@ def moments_figure(
     lines = [("light", LIGHT, moment) for moment in light]
     lines += [("heavy", HEAVY, moment) for moment in heavy]
     steps = np.arange(-WINDOW, WINDOW + 1)
-    return _dimensions(steps, "steps around", lines, names, height, f"moments {keep}")
+    return _dimension_panels(steps, "steps around", lines, names, height, f"moments {keep}")
 
 
-def _dimensions(
+def _dimension_panels(
     x: NDArray,
     title: str,
     lines: Sequence[tuple[str, str, NDArray]],
@@ -115,7 +115,7 @@ def _dimensions(
 ) -> go.Figure:
     """A row of `height` pixels for each dimension of the lines: (name, colour, (T, O))."""
     dims = lines[-1][2].shape[-1]
-    shown = min(dims, MOST)
+    shown = min(dims, MAX_DIMENSIONS)
     spacing = min(0.05, 0.5 / max(shown - 1, 1))
     apart = {"shared_xaxes": True, "vertical_spacing": spacing}
     figure = panels(shown, 1, height * shown, keep, **apart)
@@ -129,5 +129,9 @@ def _dimensions(
             named.add(name)
         words = names[i] if i < len(names) else f"observation {i + 1}"
         figure.update_yaxes(title_text=text.plotly(words[:24]), row=i + 1, col=1)
-    words = title if dims <= MOST else f"{title}; the first {MOST} of {dims} dimensions"
+    words = (
+        title
+        if dims <= MAX_DIMENSIONS
+        else f"{title}; the first {MAX_DIMENSIONS} of {dims} dimensions"
+    )
     return figure.update_xaxes(title_text=words, row=shown, col=1)

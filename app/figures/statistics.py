@@ -11,12 +11,12 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.data import called
+from app.data import run_names
 from app.data.verdicts import LABELS, Panel, Point, symbol
 from app.figures import base
-from app.figures.base import band, line, styled, upright
-from app.figures.curves import HOLLOW, Look, core
-from app.theme import NEUTRAL, faded, learner_colour
+from app.figures.base import band, line, set_layout, vertical_line
+from app.figures.curves import HOLLOW, Style, core_line
+from app.theme import NEUTRAL, learner_colour, with_alpha
 from tom.analysis.statistics import Interval
 from tom.studies.frozen import WAYS
 
@@ -25,13 +25,13 @@ from tom.studies.frozen import WAYS
 class Profile:
     """Share of a group's runs above each threshold (T,), and its band (NaN for one run)."""
 
-    look: Look
+    style: Style
     share: NDArray[np.float64]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
 
 
-def _stairs(share: NDArray[np.float64]) -> NDArray[np.float64]:
+def _staircase(share: NDArray[np.float64]) -> NDArray[np.float64]:
     """Heights (2 T - 1,) of a line that keeps each of `share` (T,) until the next threshold."""
     return np.repeat(share, 2)[:-1]
 
@@ -46,19 +46,21 @@ def profiles(
     """
     figure, x = go.Figure(), np.repeat(thresholds, 2)[1:]
     for one in groups:
-        title, colour = text.plotly(one.look.title), one.look.colour
+        title, colour = text.plotly(one.style.title), one.style.colour
         if np.isfinite(one.low).any():
-            figure.add_trace(band(x, _stairs(one.low), _stairs(one.high), colour, title))
+            figure.add_trace(band(x, _staircase(one.low), _staircase(one.high), colour, title))
         hover = f"{title}: %{{y:.0%}} of the runs above %{{x:.4g}}<extra></extra>"
-        stairs, width = _stairs(one.share), HOLLOW if one.look.core else 2.4
+        stairs, width = _staircase(one.share), HOLLOW if one.style.core else 2.4
         figure.add_trace(
-            line(x, stairs, colour, width, hover, dash=one.look.dash, name=title, legendgroup=title)
+            line(
+                x, stairs, colour, width, hover, dash=one.style.dash, name=title, legendgroup=title
+            )
         )
-        if one.look.core:
-            figure.add_trace(core(x, stairs, one.look).update(legendgroup=title))
+        if one.style.core:
+            figure.add_trace(core_line(x, stairs, one.style).update(legendgroup=title))
     shares = {"range": [-0.02, 1.02], "tickformat": ".0%"}
     kept = f"profile {score} {keep}"
-    return styled(figure, f"{score} above", height, keep=kept, y="share of runs", y_axis=shares)
+    return set_layout(figure, f"{score} above", height, keep=kept, y="share of runs", y_axis=shares)
 
 
 def intervals(
@@ -74,31 +76,31 @@ def intervals(
     series = list(dict.fromkeys(point.series for point in points))
     figure = go.Figure()
     for i, name in enumerate(series):
-        of = [point for point in points if point.series == name]
-        value, low, high = np.array([(one.value, one.low, one.high) for one in of]).T
+        of_series = [point for point in points if point.series == name]
+        value, low, high = np.array([(one.value, one.low, one.high) for one in of_series]).T
         below = ((len(series) - 1) / 2 - i) / (len(series) + 1)
-        colours = [one.colour for one in of]
+        colours = [one.colour for one in of_series]
         figure.add_scatter(
             x=value,
-            y=[lines.index(one.line) + below for one in of],
+            y=[lines.index(one.line) + below for one in of_series],
             mode="markers",
             name=text.plotly(name),
-            marker={"size": 9, "color": colours, "symbol": [one.symbol for one in of],
+            marker={"size": 9, "color": colours, "symbol": [one.symbol for one in of_series],
                     "line": {"color": colours, "width": 2}},
-            error_x=_reach(value, low, high),
+            error_x=_error_bars(value, low, high),
             text=[
                 f"{text.plotly(one.series or one.line)}: {one.value:.3g}"
                 + (f" ({one.low:.3g} to {one.high:.3g})" if np.isfinite(one.low) else "")
-                for one in of
+                for one in of_series
             ],
             hovertemplate="%{text}<extra></extra>",
         )  # fmt: skip
     words = ["<br>".join(map(text.plotly, line.split("\n"))) for line in lines]
     ticks = {"tickvals": list(range(len(lines))), "ticktext": words,
              "range": [-0.6, len(lines) - 0.4], "showgrid": False, "title": ""}  # fmt: skip
-    marks = [upright(level, 1.2, "dash")]
+    marks = [vertical_line(level, 1.2, "dash")]
     more = {"x_axis": x_axis, "y_axis": ticks, "showlegend": len(series) > 1}
-    return styled(figure, axis, height, keep=keep, marks=marks, **more)
+    return set_layout(figure, axis, height, keep=keep, marks=marks, **more)
 
 
 FEW, MORE = (0.03, 0.1, 0.3, 1, 3), (0.5, 0.7, 0.8, 0.9, 1, 1.2, 1.5, 2, 3)
@@ -110,13 +112,13 @@ def two_axes(panels: Sequence[Panel], height: int, keep: str) -> go.Figure:
     figure = base.panels(1, len(panels), height, keep, shared_yaxes=True, horizontal_spacing=0.03)
     shown: set[str] = set()
     for column, panel in enumerate(panels, 1):
-        name = called.task(panel.env)
+        name = run_names.task_title(panel.env)
         for way, distance, error in panel.ways:
             colour = learner_colour(WAYS[way].learner or "")
             label = text.plotly(LABELS.get(way, way))
             figure.add_scatter(
                 x=[distance.value], y=[error.value],
-                error_x=_bars(distance, colour), error_y=_bars(error, colour),
+                error_x=_interval_bars(distance, colour), error_y=_interval_bars(error, colour),
                 mode="markers", name=label, legendgroup=way, showlegend=way not in shown,
                 marker={"size": 10, "color": [colour], "symbol": [symbol(way)],
                         "line": {"color": [colour], "width": 2}},
@@ -136,9 +138,9 @@ def two_axes(panels: Sequence[Panel], height: int, keep: str) -> go.Figure:
     return figure.update_yaxes(title_text="model error over uniform's", col=1)
 
 
-def _bars(of: Interval, colour: str) -> dict[str, Any]:
-    ends = (np.array([end]) for end in (of.value, of.low, of.high))
-    return _reach(*ends) | {"color": faded(colour, 0.55), "width": 3}
+def _interval_bars(interval: Interval, colour: str) -> dict[str, Any]:
+    ends = (np.array([end]) for end in (interval.value, interval.low, interval.high))
+    return _error_bars(*ends) | {"color": with_alpha(colour, 0.55), "width": 3}
 
 
 def improvement(pairs: pd.DataFrame, colours: Sequence[str], height: int, keep: str) -> go.Figure:
@@ -159,7 +161,7 @@ def improvement(pairs: pd.DataFrame, colours: Sequence[str], height: int, keep: 
     )
 
 
-def _reach(value: NDArray, low: NDArray, high: NDArray) -> dict[str, Any]:
+def _error_bars(value: NDArray, low: NDArray, high: NDArray) -> dict[str, Any]:
     """The bars of intervals; none where the ends are NaN."""
     ends = {"array": np.nan_to_num(high - value), "arrayminus": np.nan_to_num(value - low)}
     shown = bool(np.isfinite([low, high]).any())  # a bar without length has its caps

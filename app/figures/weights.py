@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from app import text
 from app.figures.base import (
     LAYOUT,
-    across,
     band,
+    horizontal_line,
     line,
     note,
     octaves,
     panels,
     relative_scale,
-    steps_in_words,
-    styled,
-    upright,
+    set_layout,
+    step_axis_title,
+    vertical_line,
 )
 from app.figures.curves import return_line
 from app.theme import Mode, learner_colour, learner_label
@@ -85,8 +85,8 @@ def weight_profile(
     )
     # Plotly leaves out a label that does not fit: "oldest", left of an axis with short labels.
     more = {"margin": {"l": HALF_A_WORD}, "showlegend": False, "bargap": 0}
-    marks, kept = [across(1, 1.5, "dash")], f"profile {keep}"
-    styled(figure, PLACE, height, keep=kept, marks=marks, x_axis=AGES, **more)
+    marks, kept = [horizontal_line(1, 1.5, "dash")], f"profile {keep}"
+    set_layout(figure, PLACE, height, keep=kept, marks=marks, x_axis=AGES, **more)
     return on_log_axis(figure, top)
 
 
@@ -108,7 +108,7 @@ def on_log_axis(figure: go.Figure, top: float = 1.0) -> go.Figure:
     )
 
 
-def probe_profiles(
+def median_profiles(
     profiles: Mapping[str, NDArray[np.float64]], random: float, height: int, *, keep: str = ""
 ) -> go.Figure:
     """The median profile over seeds of each learner (S, bins), with the range of its seeds.
@@ -126,9 +126,11 @@ def probe_profiles(
         more: dict[str, Any] = {"name": f"{name} ({seeds})", "meta": text.plotly(learner)}
         more |= {"legendgroup": name, "shape": "hvh", "customdata": median}
         figure.add_trace(line(x, median, colour, 2, f"{name}<br>{WEIGHT_AT}", **more))
-    marks = [across(1, 1.5, "dash")] + [upright(100 * random, 1, "dot")] * (random > 0)
+    marks = [horizontal_line(1, 1.5, "dash")] + [vertical_line(100 * random, 1, "dot")] * (
+        random > 0
+    )
     kept, y = f"probe {keep}", "mean weight"
-    styled(figure, PLACE, height, keep=kept, marks=marks, y=y, x_axis=AGES)
+    set_layout(figure, PLACE, height, keep=kept, marks=marks, y=y, x_axis=AGES)
     return on_log_axis(figure)
 
 
@@ -171,7 +173,7 @@ def over_fits(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
         words = thinned or words
     lines = max(name.count("<br>") for name in above)
     figure.update_layout(margin={"t": 34 + 18 * lines if any(above) else LAYOUT["margin"]["t"]})
-    figure.update_xaxes(matches="x").update_xaxes(title_text=steps_in_words(envs), row=2)
+    figure.update_xaxes(matches="x").update_xaxes(title_text=step_axis_title(envs), row=2)
     figure.update_xaxes(ticks="", showticklabels=False, row=1)
     for row, first in ((1, "y"), (2, f"y{len(parts) + 1}")):
         figure.update_yaxes(matches=first, showticklabels=False, row=row)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from app import text
 from app.data.buffer import Floats
 from app.data.weighings import Brushed
-from app.figures.base import across, line, note, styled
+from app.figures.base import horizontal_line, line, note, set_layout
 from app.theme import NEUTRAL, Mode, learner_colour, ramp
 from tom import readable
 from tom.analysis.brush import POLICY, REGION, REST
@@ -21,7 +21,7 @@ NAMES = {
 BELOW = "#6f9fe8"
 
 
-def factor_in_words(factor: float) -> str:
+def factor_text(factor: float) -> str:
     """0.25 -> x 1/4."""
     return f"x {readable.factor(factor)}"
 
@@ -47,7 +47,7 @@ def error_bars(brushed: Brushed, height: int, mode: Mode) -> go.Figure:
                 x=[NAMES[name] for name in regions],
                 y=means - 1,
                 base=1,
-                name=f"weight {factor_in_words(factor)}",
+                name=f"weight {factor_text(factor)}",
                 marker={"color": colour},
                 error_y={**ends, "thickness": 1.4, "width": 4},
                 customdata=np.stack([means, least, most], -1),
@@ -55,9 +55,9 @@ def error_bars(brushed: Brushed, height: int, mode: Mode) -> go.Figure:
                 "(%{customdata[1]:.3f} to %{customdata[2]:.3f})<extra>%{fullData.name}</extra>",
             )
         )
-    marks, y = [across(1, 1.5, "dash")], "one-step error over that with unchanged weights"
+    marks, y = [horizontal_line(1, 1.5, "dash")], "one-step error over that with unchanged weights"
     bars = {"barmode": "group", "bargap": 0.25}
-    styled(figure, "", height, keep=f"brush {brushed.name}", marks=marks, y=y, **bars)
+    set_layout(figure, "", height, keep=f"brush {brushed.name}", marks=marks, y=y, **bars)
     seeds = len(next(iter(brushed.errors[regions[0]].values())))
     return note(figure, [f"mean and range of {seeds} seeds"])
 
@@ -93,7 +93,7 @@ def waterfall(parts: Sum, learner: str, height: int) -> go.Figure:
     )
     layout = {"showlegend": False, "margin": {"t": 30, "b": 8}}
     zero = {"zeroline": True, "zerolinecolor": NEUTRAL}
-    return styled(figure, "", height, keep=f"why {parts}", y_axis=zero, **layout)
+    return set_layout(figure, "", height, keep=f"why {parts}", y_axis=zero, **layout)
 
 
 def rollout_lines(
@@ -113,6 +113,6 @@ def rollout_lines(
     steps = np.arange(len(recorded))
     figure.add_trace(line(steps, recorded, NEUTRAL, 2.5, f"{hover}recorded</extra>", **marked))
     kept = f"rollouts {name} from {recorded[0]}"
-    styled(figure, "steps", height, keep=kept, y=text.plotly(name))
+    set_layout(figure, "steps", height, keep=kept, y=text.plotly(name))
     ended = int(np.isnan(paths[:, -1]).sum())
     return note(figure, [f"{ended} of {len(paths)} rollouts ended before"] if ended else [])

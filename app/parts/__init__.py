@@ -25,12 +25,12 @@ def draw(
     Each of `events` is called with what the script tells of it, before the page is drawn again.
     """
 
-    def told(event: str) -> None:
+    def on_event(event: str) -> None:
         value = st.session_state[key].get(event)
         if value is not None:
             events[event](value)
 
-    callbacks: dict[str, Any] = {f"on_{event}_change": partial(told, event) for event in events}
+    callbacks: dict[str, Any] = {f"on_{event}_change": partial(on_event, event) for event in events}
     shown = _renderer(name, html, tuple(scripts or [name]))
     shown(key=key, data=data, height=height, **callbacks)
 

@@ -55,14 +55,14 @@ def sections(env: str, learner: str, preset: str) -> dict[str, list[Setting]]:
     return groups
 
 
-def seeds(words: str) -> list[int]:
+def parse_seeds(typed: str) -> list[int]:
     """`0-2, 7` as numbers. Raises UserError for anything else."""
     numbers: list[int] = []
-    for part in words.replace(",", " ").split():
+    for part in typed.replace(",", " ").split():
         first, dash, last = part.partition("-")
-        low, high = text.whole(first), text.whole(last if dash else first)
+        low, high = text.parse_int(first), text.parse_int(last if dash else first)
         if low is None or high is None:
-            raise UserError(f"seeds '{words[:40]}' are not numbers: write 0, or 0-2, or 0, 3, 5")
+            raise UserError(f"seeds '{typed[:40]}' are not numbers: write 0, or 0-2, or 0, 3, 5")
         numbers += range(low, min(high, low + MOST_SEEDS) + 1)
     numbers = list(dict.fromkeys(numbers))
     if not 1 <= len(numbers) <= MOST_SEEDS:
@@ -70,7 +70,7 @@ def seeds(words: str) -> list[int]:
     return numbers
 
 
-def command(
+def train_arguments(
     env: str, learner: str, preset: str, seed: int, given: Mapping[str, str], store: str
 ) -> list[str]:
     """The arguments of `tom` that start a run with the settings `given` (path: text).
@@ -97,7 +97,7 @@ def command(
     return ["train", *chosen, *options, "--store", store]
 
 
-def shown(words: Sequence[str]) -> str:
+def command_line(arguments: Sequence[str]) -> str:
     """The command as one types it in a terminal, with the plug-ins of this studio."""
     given = [word for name in plugins.wanted_here() for word in (plugins.OPTION, name)]
-    return shlex.join(["tom", *words, *given])
+    return shlex.join(["tom", *arguments, *given])

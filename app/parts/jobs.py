@@ -13,20 +13,20 @@ REFRESH_S = 2
 
 
 @st.cache_resource(show_spinner=False)
-def begun() -> dict[str, Started]:
+def started_commands() -> dict[str, Started]:
     """The last command of each name, one dict for all pages of this studio."""
     return {}
 
 
-def start(name: str, words: Sequence[str]) -> Started:
+def start(name: str, arguments: Sequence[str]) -> Started:
     """Start `tom WORDS`; `name` says what for."""
-    begun()[name] = trainings.start(words)
-    return begun()[name]
+    started_commands()[name] = trainings.start(arguments)
+    return started_commands()[name]
 
 
-def runs(name: str) -> bool:
+def is_running(name: str) -> bool:
     """Whether the last command of this name goes on."""
-    return name in begun() and begun()[name].process.poll() is None
+    return name in started_commands() and started_commands()[name].process.poll() is None
 
 
 def show(name: str, done: Callable[[], object] = lambda: None) -> None:
@@ -34,30 +34,32 @@ def show(name: str, done: Callable[[], object] = lambda: None) -> None:
 
     When it is done, `done` is called and the page drawn again.
     """
-    if name not in begun():
+    if name not in started_commands():
         return
-    if runs(name):
+    if is_running(name):
         _progress(name)
-    elif begun()[name].process.returncode:
+    elif started_commands()[name].process.returncode:
         st.error(f"{text.markdown(name)} failed:", icon=":material/error:")
-        st.code(begun()[name].tail(), language=None)
+        st.code(started_commands()[name].tail(), language=None)
     else:
-        begun().pop(name)
+        started_commands().pop(name)
         done()
         st.rerun()
 
 
 @st.fragment(run_every=REFRESH_S)
 def _progress(name: str) -> None:
-    if not runs(name):
+    if not is_running(name):
         st.rerun()
-    last = (begun()[name].tail().splitlines()[-1:] or ["started"])[0]
+    last = (started_commands()[name].tail().splitlines()[-1:] or ["started"])[0]
     left, right = st.columns([5, 1], vertical_alignment="center")
     found = re.search(r"(\d+) of (\d+)", last)
     share = min(int(found[1]) / max(int(found[2]), 1), 1.0) if found else 0.0
     left.progress(share, f"{text.markdown(name)}: {text.markdown(last)}")
     if not session.read_only_reason() and right.button("Stop", key=f"stop {name}", width="stretch"):
-        process = begun().pop(name).process  # what a study has finished is stored: it goes on there
+        process = (
+            started_commands().pop(name).process
+        )  # what a study has finished is stored: it goes on there
         process.terminate()
         process.wait()
         st.rerun()

@@ -13,8 +13,8 @@ import streamlit as st
 
 from app import parts, session, text
 from app.data import readers
-from app.data.called import names, task, told_apart
-from app.figures.curves import Look, looks_of
+from app.data.run_names import distinct_names, full_names, task_title
+from app.figures.curves import Style, styles_of
 from app.parts import address, widgets
 from app.theme import learner_label
 from tom.analysis.curves import curve_points
@@ -27,11 +27,11 @@ from tom.record.reader import RunReader
 from tom.spread import spread
 from tom.training.presets import default_preset
 
-ALIKE = 0.9
+CUT_SHORT = 0.9
 """runs whose last steps differ by less have ended at about the same step"""
 LINES = 6
 """groups that are shown until the user opens more"""
-LOOK_S = 5
+POLL_S = 5
 """seconds between two looks at whether a training has begun or ended"""
 LISTED, SPARKS = 200, 24
 """runs that the list names, and points of a run's small line"""
@@ -77,17 +77,17 @@ class Scope:
     runs: tuple[RunReader, ...]
     by: str
     kinds: Mapping[str, Kind]
-    looks: Mapping[Kind, Look]
+    styles: Mapping[Kind, Style]
     hidden: frozenset[str]
     folded: frozenset[str]
     """titles of the groups that are hidden until the user opens them"""
-    asked: str
+    chosen_id: str
     """the id of the run that the user has chosen; empty if none"""
     order: tuple[str, ...]
     """the titles of the groups, main ones first"""
 
     @cached_property
-    def members(self) -> list[RunReader]:
+    def counted(self) -> list[RunReader]:
         """The runs that count in their group: not hidden themselves, and not cut short."""
         cut = {run.run_id for run in self.cut_short}
         return [run for run in self.runs if run.run_id not in self.hidden | cut]
@@ -105,41 +105,41 @@ class Scope:
             for run in self.runs
             if run.status.state != "finished"
             and not run.status.alive
-            and run.status.env_step < ALIKE * ends.get((run.env, self.kinds[run.run_id]), 0)
+            and run.status.env_step < CUT_SHORT * ends.get((run.env, self.kinds[run.run_id]), 0)
         ]
 
     @cached_property
     def shown(self) -> list[RunReader]:
         """The runs that are hidden neither themselves nor with their group."""
-        return [run for run in self.members if self.title(run) not in self.hidden]
+        return [run for run in self.counted if self.title(run) not in self.hidden]
 
     def title(self, run: RunReader) -> str:
-        return self.looks[self.kinds[run.run_id]].title
+        return self.styles[self.kinds[run.run_id]].title
 
     @property
     def unit(self) -> str:
         """What the n of a group counts: seeds, if its runs differ in nothing else."""
         return "seeds" if self.by == USUAL else "runs"
 
-    def one(
-        self, suits: Callable[[RunReader], bool], usual: Callable[[RunReader], object]
+    def choose_run(
+        self, suits: Callable[[RunReader], bool], sort_key: Callable[[RunReader], object]
     ) -> RunReader | None:
         """The chosen run, if it suits; else, of the shown runs that suit, that with the least
         `usual`; else of all; None if none does."""
-        chosen = [run for run in self.runs if run.run_id == self.asked]
+        chosen = [run for run in self.runs if run.run_id == self.chosen_id]
         for runs in (chosen, self.shown, self.runs):
             suited = [run for run in runs if suits(run)]
             if suited:
-                return min(suited, key=usual)  # type: ignore[arg-type]
+                return min(suited, key=sort_key)  # type: ignore[arg-type]
         return None
 
-    def say_missing(self, shown: RunReader | None, part: str) -> None:
+    def show_missing(self, shown: RunReader | None, part: str) -> None:
         """Say what the chosen run of a loop of one's own lacks here, and which call would give it.
 
         `shown` is the run that the page shows, None if it shows none.
         """
         loops = [run for run in self.runs if run.own_loop]
-        asked = [run for run in loops if run.run_id == self.asked]
+        asked = [run for run in loops if run.run_id == self.chosen_id]
         for run in asked or ([] if shown else loops[:1]):
             if shown is None or shown.run_id != run.run_id:
                 st.caption(f"{text.markdown(run.run_id)} has no {part}: {CALLS[part]}.")
@@ -150,8 +150,8 @@ def draw() -> Scope:
     store = session.links().store
     everything = readers.listing(store).runs
     with st.sidebar:
-        asked = address.word("run")
-        of_task = _of_task(everything, asked)
+        asked = address.get("run")
+        of_task = _runs_of_task(everything, asked)
         if asked and all(run.run_id != asked for run in everything):
             from app.data import weighings  # here: few addresses need it
 
@@ -178,9 +178,9 @@ def draw() -> Scope:
         scope = _scope(runs, by)
         if not runs:
             st.info("No run passes these filters.", icon=":material/filter_alt_off:")
-        _list(scope)
+        _draw_list(scope)
         frame(everything)
-        widgets.when_changed(lambda: store_state(store), LOOK_S)
+        widgets.redraw_when_changed(lambda: store_state(store), POLL_S)
     return scope
 
 
@@ -192,7 +192,7 @@ def store_state(store: str) -> object:
     return modified(Path(store)), now, [run.labels for run in runs]
 
 
-def _of_task(everything: Sequence[RunReader], asked: str) -> list[RunReader]:
+def _runs_of_task(everything: Sequence[RunReader], asked: str) -> list[RunReader]:
     """The runs of the chosen task: usually the chosen run's, else the newest training's of one's
     own, else that of most examples."""
     if not everything:  # there may be weighed data
@@ -204,20 +204,22 @@ def _of_task(everything: Sequence[RunReader], asked: str) -> list[RunReader]:
     first = next((run.env for run in everything if run.run_id == asked), first)
     env = address.choose_one(
         st.selectbox, "Task", [*sorted({*tasks}), EVERY_TASK], "task", first,
-        lambda name: name if name == EVERY_TASK else task(name), label_visibility="collapsed",
+        lambda name: name if name == EVERY_TASK else task_title(name), label_visibility="collapsed",
     )  # fmt: skip
-    st.session_state["task shown"] = "" if env == EVERY_TASK else task(env)  # a window's title
+    st.session_state["task shown"] = (
+        "" if env == EVERY_TASK else task_title(env)
+    )  # a window's title
     return [run for run in everything if env in (EVERY_TASK, run.env)]
 
 
-def matching(runs: Sequence[RunReader], words: str) -> list[RunReader]:
-    """The runs whose name or id contains a match of the regular expression `words`.
+def matching(runs: Sequence[RunReader], pattern: str) -> list[RunReader]:
+    """The runs whose name or id contains a match of the regular expression `pattern`.
 
     If it is malformed, all runs are returned and the page says why. The expression may come from a
     link, so it is matched in time linear in the names, unlike by Python's `re`.
     """
     # (?m): the beginning and the end of the id are those of a line, and so are those of the name.
-    options = compute.MatchSubstringOptions(f"(?m){words}", ignore_case=True)
+    options = compute.MatchSubstringOptions(f"(?m){pattern}", ignore_case=True)
     names = pa.array([f"{run.run_id}\n{run.name}" for run in runs], pa.string())
     try:
         found = compute.call_function("match_substring_regex", [names], options).to_pylist()
@@ -230,20 +232,20 @@ def matching(runs: Sequence[RunReader], words: str) -> list[RunReader]:
 
 def _scope(runs: Sequence[RunReader], by: str) -> Scope:
     kinds = kinds_of(runs, by)
-    look_of = looks_of([(run.env, kinds[run.run_id]) for run in runs], by, session.mode())
-    there = {run.run_id for run in runs} | {look.title for look in look_of.values()}
+    styles = styles_of([(run.env, kinds[run.run_id]) for run in runs], by, session.mode())
+    there = {run.run_id for run in runs} | {style.title for style in styles.values()}
     rank = {kinds[run.run_id]: _rank(run, kinds[run.run_id]) for run in runs}
     own = {kinds[run.run_id] for run in runs if not run.small_copy}
     main = sorted(own or rank, key=lambda kind: rank[kind])[:LINES]
     # Folded: the groups beyond the first, and examples beside runs of one's own.
-    folded = {look.title for kind, look in look_of.items() if kind not in main}
-    hide, show = (address.words(key, there.__contains__) for key in ("hide", "show"))
+    folded = {style.title for kind, style in styles.items() if kind not in main}
+    hide, show = (address.get_all(key, there.__contains__) for key in ("hide", "show"))
     hidden = folded.difference(show) | set(hide)
-    order = sorted(look_of, key=lambda kind: rank[kind])
+    order = sorted(styles, key=lambda kind: rank[kind])
     return Scope(
-        tuple(runs), by, kinds, look_of, frozenset(hidden), frozenset(folded),
-        address.word("run"),
-        tuple(look_of[kind].title for kind in order),
+        tuple(runs), by, kinds, styles, frozenset(hidden), frozenset(folded),
+        address.get("run"),
+        tuple(styles[kind].title for kind in order),
     )  # fmt: skip
 
 
@@ -256,28 +258,28 @@ def _rank(run: RunReader, kind: Kind) -> tuple[object, ...]:
     )  # fmt: skip
 
 
-def _list(scope: Scope) -> None:
+def _draw_list(scope: Scope) -> None:
     """The groups and their runs, each with an eye that shows or hides it."""
     named = {run.run_id for run in scope.runs[:LISTED]}
-    called = told_apart(scope.runs, by_user=True)
+    called = distinct_names(scope.runs, by_user=True)
     for run in scope.cut_short:
         called[run.run_id] += f", ended at {run.status.env_step:,}: left out"
 
-    def group(look: Look, runs: Sequence[RunReader]) -> dict[str, object]:
+    def group(style: Style, runs: Sequence[RunReader]) -> dict[str, object]:
         items = [
             {
                 "run_id": run.run_id, "name": called[run.run_id], "state": run.shown,
                 "returns": _returns(run), "hidden": run.run_id in scope.hidden,
-                "chosen": run.run_id == scope.asked,
+                "chosen": run.run_id == scope.chosen_id,
             }
             for run in sorted(runs, key=lambda run: (run.env, run.seed))
         ]  # fmt: skip
         return {
-            "title": look.title, "colour": look.colour, "core": look.core, "runs": items,
-            "hidden": look.title in scope.hidden, "folded": look.title in scope.folded,
+            "title": style.title, "colour": style.colour, "core": style.core, "runs": items,
+            "hidden": style.title in scope.hidden, "folded": style.title in scope.folded,
         }  # fmt: skip
 
-    looks = {look.title: look for look in scope.looks.values()}
+    styles = {style.title: style for style in scope.styles.values()}
     sections = []
     for title, example in (("Your runs", False), ("Examples", True)):
         of_section = [run for run in scope.runs if run.small_copy == example]
@@ -285,7 +287,7 @@ def _list(scope: Scope) -> None:
         for run in of_section:
             if run.run_id in named:
                 listed[scope.title(run)].append(run)
-        groups = [group(looks[name], runs) for name, runs in listed.items() if runs]
+        groups = [group(styles[name], runs) for name, runs in listed.items() if runs]
         groups.sort(key=lambda group: bool(group["folded"]))
         left = sum(run.run_id not in named for run in of_section)
         more = f"{left:,} more runs: search or filter" if left else ""
@@ -294,7 +296,7 @@ def _list(scope: Scope) -> None:
 
     parts.draw(
         "runlist", _LIST, "runlist", {"sections": sections},
-        toggled=lambda words: toggle(scope, *words), alone=lambda words: _alone(scope, *words),
+        toggled=lambda words: toggle(scope, *words), alone=lambda words: _show_alone(scope, *words),
         chosen=lambda run_ids: st.session_state.update(run=run_ids),
         everything=lambda _: _set(hide=(), show=scope.folded),
     )  # fmt: skip
@@ -302,7 +304,7 @@ def _list(scope: Scope) -> None:
 
 def frame(runs: Sequence[RunReader]) -> None:
     """The buttons below the list, the shortcuts, the look, notices of trainings that have ended."""
-    called, before = names(runs), st.session_state.get(ALIVE, ())
+    called, before = full_names(runs), st.session_state.get(ALIVE, ())
     ended = [
         {
             "title": f"{called[run.run_id]}: {run.shown}",
@@ -331,11 +333,11 @@ def toggle(scope: Scope, word: str) -> None:
     _set(hide=[other for other in hide if other != word], show=[*show, *opened])
 
 
-def _alone(scope: Scope, word: str) -> None:
+def _show_alone(scope: Scope, word: str) -> None:
     """Show a group or a run, and no other."""
     mine = [run for run in scope.runs if word in (run.run_id, scope.title(run))]
     titles = {scope.title(run) for run in mine}
-    others = [look.title for look in scope.looks.values() if look.title not in titles]
+    others = [look.title for look in scope.styles.values() if look.title not in titles]
     siblings = [run.run_id for run in scope.runs if scope.title(run) in titles and run not in mine]
     _set(hide=[*others, *siblings], show=titles & scope.folded)
 

@@ -16,7 +16,7 @@ from app.data import readers, trainings
 from app.parts import address, form, jobs, scope, widgets
 from app.theme import learner_colour, learner_label
 from tom import readable
-from tom.analysis.settings import changed, telling_presets
+from tom.analysis.settings import changed, distinguishing_presets
 from tom.envs import ENV_NAMES, OTHERS
 from tom.errors import UserError
 from tom.learners import SUBJECT
@@ -32,14 +32,14 @@ REFRESH_S = 2
 RECENT_S, MOST = 900, 6
 """seconds for which a run that has ended is still shown, and the number of those that are"""
 IN_ROW, FIELDS_IN_ROW = 3, 4
-NAMED = 3
+MAX_NAMED = 3
 FOLD, OPENED = "starting", "start opened"
 _STATE_TINTS = {"running": "#1f9d55", "failed": "#d2383f", "dead": "#c77700"}
 PLAY = ":material/play_arrow:"
 FIRST = "First comparison"
 
 
-def first_page() -> None:
+def draw_first_page() -> None:
     """How to begin: a first comparison, a training of one's own, the examples."""
     from app.data import weighings  # here: it imports torch
 
@@ -55,7 +55,7 @@ def first_page() -> None:
         st.write("TOM, then MLE, on the inverted pendulum; about three minutes.")
         if why := session.read_only_reason():
             st.caption(why)
-        elif not jobs.runs(FIRST) and st.button("Start it", type="primary", icon=PLAY):
+        elif not jobs.is_running(FIRST) and st.button("Start it", type="primary", icon=PLAY):
             words = ["sweep", "--env", "inverted-pendulum", "--learner", "tom", "mle"]
             jobs.start(FIRST, [*words, "--seeds", "0", "--steps", "2500", "--store", store])
             st.rerun()
@@ -73,14 +73,18 @@ def first_page() -> None:
     st.caption(f"Store: {text.markdown(store)}")
     scope.frame(())
     widgets.show_store_problems(readers.listing(store).problems)
-    widgets.when_changed(lambda: bool(readers.listing(store).runs or weighings.datasets(store)), 2)
+    widgets.redraw_when_changed(
+        lambda: bool(readers.listing(store).runs or weighings.datasets(store)), 2
+    )
 
 
 def draw() -> None:
     """The form, and a card for each training that runs or has just ended."""
     _form()
     runs = readers.listing(session.links().store).runs
-    waits = any(run.status.alive for run in runs) or any(map(jobs.runs, list(jobs.begun())))
+    waits = any(run.status.alive for run in runs) or any(
+        map(jobs.is_running, list(jobs.started_commands()))
+    )
     st.fragment(_cards, run_every=REFRESH_S if waits else None)()
 
 
@@ -105,7 +109,7 @@ def _form() -> None:
         )
         own = default_preset(env, learner)
         st.session_state.setdefault("start preset", own)
-        address.follow("start preset", own)
+        address.follow_default("start preset", own)
         preset = row[2].selectbox(
             "Preset", list(PRESETS), key="start preset",
             help="paper: the paper's table (appendix C.1); mended: the same with TOM's objective "
@@ -129,12 +133,13 @@ def _form() -> None:
         try:
             store = session.links().store
             commands = [
-                form.command(env, learner, preset, seed, given, store) for seed in form.seeds(seeds)
+                form.train_arguments(env, learner, preset, seed, given, store)
+                for seed in form.parse_seeds(seeds)
             ]
         except UserError as error:
             st.error(text.markdown(error), icon=":material/error:")
             return
-        _begin(commands)
+        _start_button(commands)
 
 
 def _settings(groups: dict[str, list[form.Setting]]) -> dict[str, str]:
@@ -160,16 +165,16 @@ def _settings(groups: dict[str, list[form.Setting]]) -> dict[str, str]:
     return given
 
 
-def _begin(commands: Sequence[Sequence[str]]) -> None:
+def _start_button(commands: Sequence[Sequence[str]]) -> None:
     """The button that starts these trainings, and the first one's command."""
     many = len(commands) > 1
     left, right = st.columns([1, 4], vertical_alignment="center")
     label = f"Start {len(commands)} trainings" if many else "Start"
     if left.button(label, type="primary", icon=PLAY, key="start"):
         for words in commands:  # the time tells two of the same command apart
-            jobs.start(f"{form.shown(words)}, {time.strftime('%H:%M:%S')}", words)
+            jobs.start(f"{form.command_line(words)}, {time.strftime('%H:%M:%S')}", words)
         st.toast("Started. It appears below in a few seconds.", icon=PLAY)
-    right.code(form.shown(commands[0]), language="bash", wrap_lines=True)
+    right.code(form.command_line(commands[0]), language="bash", wrap_lines=True)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     others = f" The others differ only in the seed. {len(commands)} trainings on {cores} cores."
     st.caption("Runs on this machine, and continues if the studio is closed." + others * many)
@@ -178,15 +183,19 @@ def _begin(commands: Sequence[Sequence[str]]) -> None:
 def _cards() -> None:
     runs = readers.listing(session.links().store).runs
     writers = {run.status.pid for run in runs}
-    for name, begun in list(jobs.begun().items()):
+    for name, command in list(jobs.started_commands().items()):
         # One that has written a run has a card.
-        if begun.words[0] == "train" and begun.process.poll() and begun.process.pid not in writers:
+        if (
+            command.arguments[0] == "train"
+            and command.process.poll()
+            and command.process.pid not in writers
+        ):
             jobs.show(name)
     alive = [run for run in runs if run.status.alive]
     shown = [*alive, *[run for run in runs if just_ended(run)][:MOST]]
     width = 2 if len(shown) == 4 else min(len(shown), IN_ROW)
-    telling = telling_presets(runs)
-    preset = {run.run_id: words for run, words in zip(runs, telling, strict=True)}
+    presets = distinguishing_presets(runs)
+    preset = {run.run_id: words for run, words in zip(runs, presets, strict=True)}
     row: Sequence[DeltaGenerator] = ()
     for i, run in enumerate(shown):
         if i % width == 0:
@@ -205,30 +214,30 @@ def _card(run: RunReader, preset: str) -> None:
     status = run.status
     if status.alive and not session.read_only_reason() and not run.own_loop:
         left, right = st.columns([4, 1], vertical_alignment="center", gap="small")
-        left.html(head(run, preset))
+        left.html(card_heading(run, preset))
         with right:
             _stop(run)
     else:
-        _asked().discard(run.run_id)
-        st.html(head(run, preset))
+        _asked_to_stop().discard(run.run_id)
+        st.html(card_heading(run, preset))
     st.progress(status.share, text=text.markdown(progress_line(run)))
     with st.container(horizontal=True):  # a card of three in a row is too narrow for one line
-        for label, value in figures(run).items():
+        for label, value in main_numbers(run).items():
             st.metric(label, value, width="content")
     # The run's record does not know the folder that this studio's terminal would need to be in.
-    reason = status.reason.replace(f"tom train --resume {run.run_id}", resume(run))
+    reason = status.reason.replace(f"tom train --resume {run.run_id}", resume_command(run))
     for words in (settings_line(run), reason, *status.warnings):
         if words:
             st.caption(text.markdown(words))
     if status.shown == "dead" and checkpoint.newest(run.path / checkpoint.FOLDER) is not None:
         st.caption("To go on from its last checkpoint:")
-        st.code(resume(run), language="bash", wrap_lines=True)
+        st.code(resume_command(run), language="bash", wrap_lines=True)
     if log := log_of(run):
         with st.expander("Last lines of its output", key=f"log {run.run_id}", on_change="rerun"):
             st.code(log, language=None)
 
 
-def figures(run: RunReader) -> dict[str, str]:
+def main_numbers(run: RunReader) -> dict[str, str]:
     """The returns, and the speed of a training run, which is unknown during a fit."""
     status = run.status
     numbers = {
@@ -247,33 +256,35 @@ def figures(run: RunReader) -> dict[str, str]:
 
 def log_of(run: RunReader) -> str:
     """The last lines of a training's output, if it was started here; else empty."""
-    begun = [one for one in list(jobs.begun().values()) if one.process.pid == run.status.pid]
+    begun = [
+        one for one in list(jobs.started_commands().values()) if one.process.pid == run.status.pid
+    ]
     return begun[-1].tail() if begun else ""
 
 
 def _stop(run: RunReader) -> None:
-    if run.run_id in _asked():
+    if run.run_id in _asked_to_stop():
         st.caption("stopping", help="it finishes its step and writes a checkpoint")
         return
     # on_change: it stays open when the page is drawn again
     with st.popover("Stop", key=f"stop {run.run_id}", width="stretch", on_change="rerun"):
         st.write("The training finishes its step and writes a checkpoint. To continue it later:")
-        st.code(resume(run), language="bash")
+        st.code(resume_command(run), language="bash")
         if st.button("Stop this training", key=f"stop {run.run_id} now", type="primary"):
             try:
                 trainings.stop(Store(session.links().store), run.run_id)
-                _asked().add(run.run_id)
+                _asked_to_stop().add(run.run_id)
                 st.rerun(scope="fragment")
             except UserError as error:
                 st.error(text.markdown(error))
 
 
-def resume(run: RunReader) -> str:
+def resume_command(run: RunReader) -> str:
     """The command that resumes a run, for a terminal in any folder."""
     return shlex.join(["tom", "train", "--resume", run.run_id, "--store", session.links().store])
 
 
-def _asked() -> set[str]:
+def _asked_to_stop() -> set[str]:
     """The runs that this user has asked to stop and that have not ended yet."""
     return st.session_state.setdefault("asked to stop", set())
 
@@ -298,11 +309,11 @@ def settings_line(run: RunReader) -> str:
     except UserError:
         return ""
     words = [f"{path} {value}" for path, value in new.items()]
-    more = [f"and {len(words) - NAMED} more"] if len(words) > NAMED else []
-    return ", ".join(words[:NAMED] + more)
+    more = [f"and {len(words) - MAX_NAMED} more"] if len(words) > MAX_NAMED else []
+    return ", ".join(words[:MAX_NAMED] + more)
 
 
-def head(run: RunReader, preset: str = "") -> str:
+def card_heading(run: RunReader, preset: str = "") -> str:
     """The card's first line as HTML; everything that came from a file is escaped."""
     shown = run.status.shown
     tint = _STATE_TINTS.get(shown, "currentColor")

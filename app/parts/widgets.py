@@ -9,7 +9,7 @@ from app import session, text
 from app.data import readers
 from app.links import LIVE
 from app.parts import address
-from app.scenes.control import Choice, Selection, tell
+from app.scenes.control import Choice, Selection, send_selection
 from tom.analysis.curves import Curve, curve_points
 from tom.learners import LEARNERS, SUBJECT
 from tom.record.reader import RunReader
@@ -24,25 +24,25 @@ def curve(run: RunReader, metric: str) -> Curve:
     return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value)
 
 
-def telling(run: RunReader) -> tuple[object, ...]:
+def interest_key(run: RunReader) -> tuple[object, ...]:
     """A sort key: runs with uneven weights first, then one's own before examples, then the rank of
     their learner, the longest and the most complete."""
     return (
-        not differs(run), run.small_copy, run.learner != SUBJECT, run.preset != "mended",
+        not has_uneven_weights(run), run.small_copy, run.learner != SUBJECT, run.preset != "mended",
         -run.status.env_step, len(run.left_out),
     )  # fmt: skip
 
 
-def uniform(run: RunReader) -> bool:
+def has_uniform_learner(run: RunReader) -> bool:
     """Whether the run's learner counts every transition the same."""
     return run.learner in LEARNERS and LEARNERS[run.learner].uniform
 
 
-def differs(run: RunReader) -> bool:
+def has_uneven_weights(run: RunReader) -> bool:
     """Whether the weights of the run's last fit are not uniform."""
-    if uniform(run):
+    if has_uniform_learner(run):
         return False  # known without reading
-    profiles = readers.profiles(readers.weighed(run))
+    profiles = readers.profiles(readers.first_weight_reader(run))
     return len(profiles.ess) > 0 and bool(profiles.ess[-1] < 0.99)
 
 
@@ -68,7 +68,7 @@ def show_store_problems(problems: Sequence[str]) -> None:
                 st.text(problem)
 
 
-def left_out(run: RunReader, *parts: str) -> bool:
+def show_left_out(run: RunReader, *parts: str) -> bool:
     """Show which of these parts a small copy lacks; returns False if none.
 
     One that lacks `other snapshots` may lack all of them.
@@ -91,7 +91,7 @@ def left_out(run: RunReader, *parts: str) -> bool:
     return True
 
 
-def left_out_of_all(runs: Sequence[RunReader], part: str) -> bool:
+def show_left_out_of_all(runs: Sequence[RunReader], part: str) -> bool:
     """Show how many small copies lack a part; returns False if none does."""
     lacking = sum(part in run.left_out for run in runs)
     if lacking:
@@ -110,20 +110,20 @@ def link_to(path: str, label: str, **choices: str) -> None:
         )  # fmt: skip
 
 
-def when_changed(state: Callable[[], object], every_s: float) -> None:
+def redraw_when_changed(state: Callable[[], object], every_s: float) -> None:
     """Draw the whole page again when `state`, looked at every few seconds, is another than now."""
     seen: dict[str, object] = {}
 
     @st.fragment(run_every=every_s)
-    def look() -> None:
+    def poll() -> None:
         now = state()
         if now != seen.setdefault("first", now):
             st.rerun()
 
-    look()
+    poll()
 
 
-def stage(choice: Choice, height: int, part: str = "", *, compact: bool = False) -> None:
+def show_scene(choice: Choice, height: int, part: str = "", *, compact: bool = False) -> None:
     """Show `choice` in 3D. A rerun of the page does not reload the frame.
 
     A page with several frames gives each a different `part`. In a `compact` frame the panel is
@@ -135,14 +135,18 @@ def stage(choice: Choice, height: int, part: str = "", *, compact: bool = False)
         return
     client = f"{session.client()}{part}"
     try:
-        tell(str(links.file("control")), client, Selection(choice, session.mode(), compact))
+        send_selection(
+            str(links.file("control")), client, Selection(choice, session.mode(), compact)
+        )
     except OSError:
-        said = links.file("scenes.log").read_text(errors="replace").strip().rpartition("\n")[2]
-        st.warning(f"The 3D server does not answer and is being restarted. {text.markdown(said)}")
+        last_line = links.file("scenes.log").read_text(errors="replace").strip().rpartition("\n")[2]
+        st.warning(
+            f"The 3D server does not answer and is being restarted. {text.markdown(last_line)}"
+        )
     st.iframe(links.viser(client, session.mode()), height=height, alt="3D scene")
 
 
-def rerun(run: RunReader, height: int, name: str = "") -> None:
+def show_rerun(run: RunReader, height: int, name: str = "") -> None:
     """Rerun's viewer with a recording, by default all of a run's, or live while it trains.
 
     A rerun of the page does not reload it.

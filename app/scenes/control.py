@@ -21,7 +21,7 @@ ANSWER_S = 1.0
 REAL_TIME = "real time"
 SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, REAL_TIME: 1.0, "2 times": 2.0, "4 times": 4.0}
 """choices of playback speed"""
-Wish = Literal["go", "play", "pause", "start"]
+Command = Literal["go", "play", "pause", "start"]
 """go to a frame, play on, pause, or play from the beginning"""
 
 _log = logging.getLogger(__name__)
@@ -29,11 +29,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Clock:
-    """The state of playback in a page's frame, after the page's request number `asked`."""
+    """The state of playback in a page's frame, after the page's request number `request`."""
 
     frame: int
     playing: bool
-    asked: int = 0
+    request: int = 0
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class RoadChoice:
 class ReplayChoice:
     """An evaluation episode, first shown at `frame`, with a ghost that restarts every `horizon`.
 
-    `asked` counts the page's requests: a higher count means that its `wish` is a new one.
+    `request` counts the page's requests: a higher count means that its `command` is a new one.
     """
 
     run: str
@@ -56,8 +56,8 @@ class ReplayChoice:
     episode: int
     frame: int
     horizon: int
-    asked: int = 0
-    wish: Wish = "go"
+    request: int = 0
+    command: Command = "go"
     speed: str = REAL_TIME
     ghost: bool = True
     follow: bool = True
@@ -86,7 +86,7 @@ class Selection:
     compact: bool = False
 
 
-def tell(socket: str, page: str, selection: Selection) -> None:
+def send_selection(socket: str, page: str, selection: Selection) -> None:
     """Ask the viser server to show `selection` in the frame of `page`.
 
     Waits for a server that starts. Raises OSError if there is none.

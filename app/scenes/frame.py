@@ -57,7 +57,7 @@ class Frame:
         """what the scene shows; None if it must be drawn anew"""
         self._lock = threading.RLock()
         self._closed = False
-        self._dress()
+        self._apply_theme()
         client.gui.set_panel_label(self.title)
         self._build_panel()
         if compact:
@@ -71,7 +71,7 @@ class Frame:
         with self._lock:
             if selection.mode != self.mode:
                 self.mode, self._drawn = selection.mode, None
-                self._dress()
+                self._apply_theme()
             self._show(selection.choice, obey=obey)
 
     def close(self) -> None:
@@ -91,7 +91,7 @@ class Frame:
         """The state of playback; None if this kind of scene plays nothing."""
         return None
 
-    def look(self, position: Vector, at: Vector) -> None:
+    def set_camera(self, position: Vector, at: Vector) -> None:
         """Set the user's camera."""
         self.client.camera.position = position
         self.client.camera.look_at = at
@@ -99,7 +99,7 @@ class Frame:
     def clear(self) -> None:
         """Remove everything from the scene except the light and the page's background."""
         self.client.scene.reset()
-        stage(self.client.scene, self.mode, self.fill)
+        set_up_lights(self.client.scene, self.mode, self.fill)
 
     def on_scrub(self, slider: viser.GuiSliderHandle, moved: Callable[[float], None]) -> None:
         """Call `moved` with the slider's value if the user has moved it, not playback."""
@@ -111,7 +111,7 @@ class Frame:
 
         slider.on_update(updated)
 
-    def _dress(self) -> None:
+    def _apply_theme(self) -> None:
         scene = self.client.scene
         self.client.gui.configure_theme(
             dark_mode=self.mode == "dark",
@@ -124,7 +124,7 @@ class Frame:
         # No environment map: viser fades in the canvas after its default map is loaded. If another
         # map arrives meanwhile, the scene stays pale until it is opened again.
         scene.configure_environment_map(None)
-        stage(scene, self.mode, self.fill)
+        set_up_lights(scene, self.mode, self.fill)
 
     def _build_panel(self) -> None:
         raise NotImplementedError
@@ -136,7 +136,7 @@ class Frame:
         raise NotImplementedError
 
 
-def stage(scene: viser.SceneApi, mode: Mode, front: float) -> None:
+def set_up_lights(scene: viser.SceneApi, mode: Mode, front: float) -> None:
     """The page's background, ambient light, and light of some brightness from the front."""
     scene.set_background_image(np.full((1, 1, 3), rgb(BACKGROUND[mode]), np.uint8))
     scene.add_light_ambient("/glow", intensity=GLOW[mode])
@@ -161,27 +161,27 @@ def floor(scene: viser.SceneApi, height: float, mode: Mode) -> viser.GridHandle:
     )
 
 
-def painted(words: str, mode: Mode) -> NDArray[np.uint8]:
+def text_picture(text: str, mode: Mode) -> NDArray[np.uint8]:
     """The words as a picture (h, w, 4), transparent between letters; first row on top."""
     font = ImageFont.load_default(PIXELS)
-    left, top, right, bottom = (int(x) for x in font.getbbox(words, stroke_width=HALO))
+    left, top, right, bottom = (int(x) for x in font.getbbox(text, stroke_width=HALO))
     image = Image.new("RGBA", (right - left + 2, bottom - top + 2), f"{BACKGROUND[mode]}00")
     ImageDraw.Draw(image).text(
-        (1 - left, 1 - top), words, TEXT[mode], font,
+        (1 - left, 1 - top), text, TEXT[mode], font,
         stroke_width=HALO, stroke_fill=f"{BACKGROUND[mode]}b0",
     )  # fmt: skip
     return np.asarray(image)
 
 
-def extent(words: str, mode: Mode, height: float) -> NDArray[np.float64]:
+def text_extent(text: str, mode: Mode, height: float) -> NDArray[np.float64]:
     """Width and height (2,) in metres of words whose letters are `height` high."""
-    return height / PIXELS * np.array(painted(words, mode).shape[1::-1])
+    return height / PIXELS * np.array(text_picture(text, mode).shape[1::-1])
 
 
-def add_words(
+def add_text(
     scene: viser.SceneApi,
     name: str,
-    words: str,
+    text: str,
     mode: Mode,
     foot: Vector,
     height: float,
@@ -192,8 +192,8 @@ def add_words(
     `tilt` is the angle from the ground: 0 is flat, read from above; pi / 2 is upright, read from
     -y and from behind.
     """
-    size = extent(words, mode, height)
-    texture = Image.fromarray(painted(words, mode))
+    size = text_extent(text, mode, height)
+    texture = Image.fromarray(text_picture(text, mode))
     # It shines and reflects nothing: under the scene's light the letters would change their colour.
     material = PBRMaterial(
         baseColorTexture=texture, baseColorFactor=(0, 0, 0, 255),

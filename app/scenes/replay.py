@@ -15,7 +15,7 @@ from tom.envs import ENVS
 from tom.errors import UserError
 
 GHOST_OPACITY = 0.45
-ASIDE = np.array([0.0, -0.03, 0.0])
+GHOST_OFFSET = np.array([0.0, -0.03, 0.0])
 """metres from the real robot to its ghost, towards the camera, because coinciding surfaces
 would flicker"""
 
@@ -42,18 +42,18 @@ class ReplayFrame(Frame):
         replay = replays.load(run, choice.step, choice.episode, choice.horizon)
         if replay is None:
             raise UserError(f"episode {choice.episode + 1} of step {choice.step} cannot be read")
-        if not replay.drawn:
+        if not replay.has_scene:
             raise UserError(f"there is nothing to draw of {run.env}: its curves are on the page")
         at = choice.frame if self._choice is None else self._at
         self._choice = choice
         if self._drawn is not replay:
             self._draw(replay)
-        if obey and choice.wish in ("go", "start"):
+        if obey and choice.command in ("go", "start"):
             at = choice.frame
         self._pose(at)
-        if obey and choice.wish != "go" and self.playing != (choice.wish != "pause"):
+        if obey and choice.command != "go" and self.playing != (choice.command != "pause"):
             self._toggle()
-        self._asked = choice.asked
+        self._asked = choice.request
 
     def clock(self) -> Clock:
         """The state of playback."""
@@ -61,7 +61,11 @@ class ReplayFrame(Frame):
         return Clock(int(self._at), self.playing, asked)
 
     def _draw(self, replay: Replay) -> None:
-        scene, real, self._ghost = self.client.scene, solids.of(replay.model, replay.real), None
+        scene, real, self._ghost = (
+            self.client.scene,
+            solids.robot_solids(replay.model, replay.real),
+            None,
+        )
         with self.client.atomic():
             self.clear()
             if replay.road:
@@ -70,14 +74,14 @@ class ReplayFrame(Frame):
             self._robot = Robot(scene, "/real", real, [rgb(REAL[self.mode])])
             if replay.ghost is not None:
                 ghost, colour = (
-                    solids.of(replay.model, replay.ghost),
+                    solids.robot_solids(replay.model, replay.ghost),
                     learner_colour(replay.learner),
                 )
                 self._ghost = Robot(scene, "/ghost", ghost, [rgb(colour)], GHOST_OPACITY)
         other = self._replay is None or self._replay.env != replay.env
         self._replay = self._drawn = replay
         if other:
-            self.look(*_view(replay, real))
+            self.set_camera(*_camera(replay, real))
         self.frame.max = replay.episode.length
 
     def _toggle(self) -> None:
@@ -112,11 +116,11 @@ class ReplayFrame(Frame):
                 self._floor.position = float(x), float(y), real.floor
             self._robot.pose(frame, -place)
             if self._ghost is not None:
-                self._ghost.pose(frame, ASIDE - place)
+                self._ghost.pose(frame, GHOST_OFFSET - place)
                 self._ghost.node.visible = self._choice.ghost
 
 
-def _view(replay: Replay, real: Solids) -> tuple[Vector, Vector]:
+def _camera(replay: Replay, real: Solids) -> tuple[Vector, Vector]:
     """The camera's position and target."""
     if replay.road:
         return (0.5, -0.4, 1.25), (0.5, 0.42, 0.0)

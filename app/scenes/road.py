@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from trimesh import PointCloud, creation
 
 from app.data import road
-from app.data.called import told_apart
 from app.data.road import CELLS, CENTRES, Picture, RoadShape, circle, on_road, outline
+from app.data.run_names import distinct_names
 from app.figures.base import OCTAVES
 from app.figures.road import GOAL, START
 from app.scenes import solids
 from app.scenes.control import RoadChoice
-from app.scenes.frame import Frame, Vector, add_words, extent, stage
+from app.scenes.frame import Frame, Vector, add_text, set_up_lights, text_extent
 from app.scenes.solids import Colour, Robot, copies, weight_colours
 from app.theme import NEUTRAL, Mode, learner_colour, rgb
 from tom.errors import UserError
@@ -80,7 +80,7 @@ class RoadScene:
         self._scene, self._name = scene, f"/road{number}"
         self._mode: Mode = mode
         self._title = title
-        scene.add_frame(self._name, show_axes=False, position=(place(number), 0.0, 0.0))
+        scene.add_frame(self._name, show_axes=False, position=(map_x(number), 0.0, 0.0))
         draw_map(scene, picture.road, mode, self._name)
         position, size = stones(picture.road)
         turn = np.random.default_rng(5).normal(size=(len(size), 4))
@@ -105,7 +105,7 @@ class RoadScene:
             )  # fmt: skip
 
         def cars(whose: str, lines: Sequence[NDArray], tint: Colour) -> Robot:
-            driven = solids.car(together(lines), over + LIFT)
+            driven = solids.car(padded(lines), over + LIFT)
             return Robot(scene, f"{name}/{whose} cars", driven, [tint] * len(lines))
 
         self.cars = [
@@ -136,7 +136,7 @@ class RoadScene:
             "boulders": [self._stones],
         }  # fmt: skip
         title, foot = f"{self._title}, record of step {picture.step:,}", (0.5, 1.03, 0.02)
-        add_words(scene, f"{name}/title", title, self._mode, foot, TITLE, TILT)
+        add_text(scene, f"{name}/title", title, self._mode, foot, TITLE, TILT)
 
     def show(self, layers: Mapping[str, bool]) -> None:
         """Show and hide layers by name."""
@@ -168,9 +168,9 @@ def draw_map(scene: viser.SceneApi, road: RoadShape, mode: Mode, root: str = "")
     ):
         ring = [circle(x, y, radius), circle(x, y, radius * 0.93)]
         _lines(scene, f"{root}/{name}", ring, colour, 2 * LIFT, 3.5)
-        half = extent(name, mode, NAME)[0] / 2 + MARGIN
+        half = text_extent(name, mode, NAME)[0] / 2 + MARGIN
         beside = (-half if x < 0.5 else 1 + half, y - NAME / 2, LIFT)
-        add_words(scene, f"{root}/{name}/name", name, mode, beside, NAME, TILT)
+        add_text(scene, f"{root}/{name}/name", name, mode, beside, NAME, TILT)
 
 
 def _lines(
@@ -186,12 +186,12 @@ def _lines(
     )
 
 
-def place(number: int) -> float:
+def map_x(number: int) -> float:
     """The x of the corner of the map `number` among several."""
     return number * (1 + GAP)
 
 
-def view(count: int, fov: float, aspect: float = ASPECT) -> tuple[Vector, Vector]:
+def camera_for(count: int, fov: float, aspect: float = ASPECT) -> tuple[Vector, Vector]:
     """The camera's position and target for `count` maps side by side.
 
     It goes back until their front corners, with the words beside them, are in a picture that is
@@ -200,7 +200,7 @@ def view(count: int, fov: float, aspect: float = ASPECT) -> tuple[Vector, Vector
     (_, y, z), (_, at, ground) = CAMERA, LOOK_AT
     back = np.hypot(at - y, z)
     nearer = at * (at - y) / back  # by this the maps' front edge is nearer than the target
-    half = place(count) / 2
+    half = map_x(count) / 2
     away = max(1.0, float(half / (aspect * np.tan(fov / 2)) + nearer) / back)
     middle = half - GAP / 2
     return (middle, at + (y - at) * away, z * away), (middle, at, ground)
@@ -263,7 +263,7 @@ def dashes(line: NDArray) -> list[NDArray]:
     return list(ends[: len(ends) // 2 * 2].reshape(-1, 2, 2))
 
 
-def together(lines: Sequence[NDArray]) -> NDArray:
+def padded(lines: Sequence[NDArray]) -> NDArray:
     """R lines (H, 2) as one array (R, longest, 2); the shorter ones stay at their ends."""
     longest = np.arange(max(map(len, lines), default=1))
     whole = [line[np.minimum(longest, len(line) - 1)] for line in lines]
@@ -346,9 +346,9 @@ class RoadFrame(Frame):
             camera = self.client.camera
             high = camera.image_height  # 0 in a tab that was never in front
             aspect = camera.image_width / high if high else ASPECT
-            self.look(*view(len(shown), camera.fov, aspect))
+            self.set_camera(*camera_for(len(shown), camera.fov, aspect))
         self.clear()
-        called = told_apart([self.store.run(run) for run, _ in shown])
+        called = distinct_names([self.store.run(run) for run, _ in shown])
         self._scenes = [
             RoadScene(self.client.scene, picture, self.mode, i, called[run])
             for i, (run, picture) in enumerate(shown)
@@ -375,10 +375,10 @@ def as_html(fits: Sequence[Sequence[Picture]], mode: Mode, titles: Sequence[str]
     try:
         server.scene.set_up_direction("+z")
         server.scene.configure_environment_map(None)
-        stage(server.scene, mode, front=0.5)
+        set_up_lights(server.scene, mode, front=0.5)
         server.scene.world_axes.visible = False
         camera = server.initial_camera
-        camera.position, camera.look_at = view(len(fits[0]), camera.fov)
+        camera.position, camera.look_at = camera_for(len(fits[0]), camera.fov)
         scenes = [
             RoadScene(server.scene, picture, mode, i, title)
             for i, (picture, title) in enumerate(zip(fits[0], titles, strict=True))

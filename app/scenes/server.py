@@ -36,19 +36,19 @@ class SceneServer:
 
     def __init__(self, links: Links) -> None:
         self.links = links
-        self.chosen: dict[str, Selection] = {}
-        self.heard: dict[str, int] = {}
+        self.selections: dict[str, Selection] = {}
+        self.carried_out: dict[str, int] = {}
         """by page, its last request that a frame has carried out"""
         self.frames: dict[int, tuple[str, Frame]] = {}
         with on_socket(links.file("scenes")):
             self.server = viser.ViserServer(verbose=False)
         self.server.scene.set_up_direction("+z")
         self.server.on_client_connect(self._connected)
-        self.server.on_client_disconnect(self._left)
+        self.server.on_client_disconnect(self._disconnected)
 
     def select(self, page: str, selection: Selection) -> None:
         """Store a page's selection and show it in its frames."""
-        before, self.chosen[page] = self.chosen.get(page), selection
+        before, self.selections[page] = self.selections.get(page), selection
         here = [frame.client for name, frame in list(self.frames.values()) if name == page]
         if here and before != selection:
             self._show(page, here)
@@ -77,8 +77,8 @@ class SceneServer:
         """
         frames = [self._frame_of(client, page) for client in clients]
         selection = self._selection(page)  # it may have changed while they were built
-        asked = getattr(selection.choice, "asked", 0)
-        obey, self.heard[page] = asked > self.heard.get(page, 0), asked
+        request = getattr(selection.choice, "request", 0)
+        obey, self.carried_out[page] = request > self.carried_out.get(page, 0), request
         for frame in frames:
             if frame is None:
                 continue
@@ -88,17 +88,17 @@ class SceneServer:
                 frame.client.add_notification("Not shown", str(error), auto_close_seconds=8)
 
     def _selection(self, page: str) -> Selection:
-        return self.chosen.get(page, Selection(RoadChoice(), self.links.theme or "light"))
+        return self.selections.get(page, Selection(RoadChoice(), self.links.theme or "light"))
 
     def _frame_of(self, client: viser.ClientHandle, page: str) -> "Frame | None":
         """A client's frame for what its page shows; None if its tab was closed while it was built
-        (see `_left`)."""
+        (see `_disconnected`)."""
         number, selection = client.client_id, self._selection(page)
-        held = self.frames.get(number)
-        if held is not None and type(held[1]) is frame_class(selection.choice):
-            return held[1]
-        if held is not None:
-            held[1].close()
+        current = self.frames.get(number)
+        if current is not None and type(current[1]) is frame_class(selection.choice):
+            return current[1]
+        if current is not None:
+            current[1].close()
         frame = self._frame(client, selection)
         self.frames[number] = page, frame
         if number in self.server.get_clients():
@@ -110,7 +110,7 @@ class SceneServer:
         kind = frame_class(selection.choice)
         return kind(client, self.links.store, selection.mode, compact=selection.compact)
 
-    def _left(self, client: viser.ClientHandle) -> None:
+    def _disconnected(self, client: viser.ClientHandle) -> None:
         self.frames.pop(client.client_id, None)
 
 
@@ -147,18 +147,18 @@ def main() -> None:
     """Serve until SIGTERM."""
     plugins.load()
     links = Links.from_environment()
-    served = SceneServer(links)
+    scene_server = SceneServer(links)
 
     def tick() -> None:
         then = time.monotonic()
         while True:
-            time.sleep(TICK_S if served.frames else REST_S)
+            time.sleep(TICK_S if scene_server.frames else REST_S)
             now = time.monotonic()
-            served.tick(now - then)
+            scene_server.tick(now - then)
             then = now
 
     threading.Thread(target=tick, daemon=True).start()
-    listen(str(links.file("control")), served.select, served.clock)
+    listen(str(links.file("control")), scene_server.select, scene_server.clock)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from trimesh import Trimesh, creation
 
 from app.figures.base import OCTAVES, octaves
-from app.theme import COLUMNS, Mode, light, on_scale
+from app.theme import COLUMNS, Mode, linear_light, scale_colours
 from tom.envs import scene as geometry
 
 SEGMENTS = 20
@@ -37,7 +37,7 @@ class Solids:
     floor: float
 
 
-def of(model: geometry.Model | None, qpos: NDArray) -> Solids:
+def robot_solids(model: geometry.Model | None, qpos: NDArray) -> Solids:
     """A MuJoCo task's robot at joint positions (..., nq).
 
     Without a model it is road-and-rocks' car at positions (H, 2).
@@ -89,7 +89,7 @@ def car(line: NDArray, above: float = WHEELS) -> Solids:
 
 def weight_colours(weight: NDArray, mode: Mode) -> NDArray[np.uint8]:
     """The colours (..., 3) of weights (...,): blue below average, orange above."""
-    return on_scale(octaves(weight) / (2 * OCTAVES) + 0.5, COLUMNS[mode])
+    return scale_colours(octaves(weight) / (2 * OCTAVES) + 0.5, COLUMNS[mode])
 
 
 def copies(
@@ -109,7 +109,7 @@ def copies(
         batched_wxyzs=np.tile([1, 0, 0, 0], (len(position), 1)) if wxyz is None else wxyz,
         batched_positions=position,
         # viser reads instance colours as linear intensities.
-        batched_colors=(255 * light(colours)).round().astype(np.uint8),
+        batched_colors=(255 * linear_light(colours)).round().astype(np.uint8),
         lod="off",
         **more,
     )

@@ -7,7 +7,7 @@ from app.data import buffer, weighings
 from app.data.buffer import WINDOW, poses, windows
 from app.scenes import solids
 from app.scenes.control import SPEEDS, StatesChoice
-from app.scenes.frame import Frame, add_words, floor
+from app.scenes.frame import Frame, add_text, floor
 from app.scenes.solids import Colour, Robot, Solids
 from app.theme import Mode
 from tom import readable
@@ -17,7 +17,7 @@ from tom.record.reader import RunReader
 from tom.record.store import Store
 from tom.record.task_record import scene_of, task_of
 
-ABREAST = 3
+ROBOTS_IN_LINE = 3
 """robots in a line"""
 LETTERS = 0.2
 """height of letters relative to the area of a robot and its margin"""
@@ -49,7 +49,7 @@ class StatesFrame(Frame):
     def _show(self, choice: StatesChoice, *, obey: bool) -> None:
         if choice == self._drawn:
             return
-        run = reader_of(str(self.store.path), choice.run)
+        run = find_run(str(self.store.path), choice.run)
         model = scene_of(run)
         if model is None:
             raise UserError(f"nothing to draw of {run.env}: its states are curves on the page")
@@ -71,7 +71,9 @@ class StatesFrame(Frame):
             self._env, self._dt = run.env, model.dt
             width, depth = 3.6 * size
             away = 0.5 * width + 0.4
-            self.look((0.1, -away, height + 1.0 + 0.35 * away), (0.1, 0.3 * depth, height + 0.5))
+            self.set_camera(
+                (0.1, -away, height + 1.0 + 0.35 * away), (0.1, 0.3 * depth, height + 0.5)
+            )
         self._drawn = choice
 
     def _group(
@@ -82,12 +84,12 @@ class StatesFrame(Frame):
         They stand in lines of ABREAST, away from the middle, `size` (2,) apart.
         """
         number = np.arange(len(colours))
-        x, y = side * (number % ABREAST + 0.75) * size[0], number // ABREAST * size[1]
+        x, y = side * (number % ROBOTS_IN_LINE + 0.75) * size[0], number // ROBOTS_IN_LINE * size[1]
         name = "left" if side < 0 else "right"
         top = float(robots.position[:, WINDOW, :, 2].max()) + 0.35
         foot = (float(x.mean()), float(y.max()), top)
         letters, scene = LETTERS * float(size[0]), self.client.scene
-        add_words(scene, f"/{name} label", words, self.mode, foot, letters, TILT)
+        add_text(scene, f"/{name} label", words, self.mode, foot, letters, TILT)
         place = np.stack([x, y, np.zeros(len(x))], -1)[:, None]
         return Robot(scene, f"/{name}", robots, colours), place
 
@@ -104,7 +106,7 @@ class StatesFrame(Frame):
                 robot.pose(at, place)
 
 
-def reader_of(store: str, name: str) -> RunReader:
+def find_run(store: str, name: str) -> RunReader:
     """The run or data set `name`. Raises UserError if there is none."""
     try:
         return Store(store).run(name)
@@ -116,7 +118,7 @@ def _groups(
     run: RunReader, choice: StatesChoice, model: Model, mode: Mode
 ) -> list[tuple[str, Solids, list[Colour]]]:
     """The title, the robots and their colours of each group that has rows."""
-    recorded, _, state, _ = buffer.with_states(run)
+    recorded, _, state, _ = buffer.recorded_with_states(run)
     ended = recorded.ended()
     if max((row for _, rows, _ in choice.groups for row in rows), default=0) >= len(ended):
         raise UserError("these transitions are no longer in the run's record")
@@ -127,5 +129,7 @@ def _groups(
             ends = dict.fromkeys(readable.short(weight) for weight in (min(weights), max(weights)))
             tints = solids.weight_colours(np.array(weights, np.float64), mode)
             colours = [(int(r), int(g), int(b)) for r, g, b in tints]
-            groups.append((f"{words}: weight {' to '.join(ends)}", solids.of(model, qpos), colours))
+            groups.append(
+                (f"{words}: weight {' to '.join(ends)}", solids.robot_solids(model, qpos), colours)
+            )
     return groups

@@ -52,7 +52,7 @@ def make_store(folder: Path, runs: int) -> None:
     for env, learner, settings in KINDS:
         config = resolve(env, learner, "smoke", settings)
         train(config, Store(folder), f"{env}-{learner}-0", rerun=False)
-        _lengthen(folder / f"{env}-{learner}-0")
+        _extend_metrics(folder / f"{env}-{learner}-0")
     for i in range(len(KINDS), runs):
         (env, learner, _), seed = KINDS[i % len(KINDS)], i // len(KINDS)
         base = f"{env}-{learner}"
@@ -104,7 +104,7 @@ def make_run(store: Path, rows: int) -> str:
     return f"map-{rows}"
 
 
-def _lengthen(run: Path, points: int = POINTS) -> None:
+def _extend_metrics(run: Path, points: int = POINTS) -> None:
     """Extend the run's metrics and profiles to the number of rows of a long training."""
     old = RunReader(run).metrics().ffill().bfill()
     last = int(old["env_step"].to_numpy().max())
@@ -134,15 +134,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         if args.map:
             runs = {rows: make_run(store, rows) for rows in browser_bench.DRAWN_S}
             found = browser_bench.measure_map(store, runs)
-            return _shown("the buffer's map in Chromium", found, args)
+            return _report("the buffer's map in Chromium", found, args)
         make_store(store, args.runs)
-        _lengthen(store / PLAYED, FITS)
+        _extend_metrics(store / PLAYED, FITS)
         make_studies(Path(folder) / FOLDER)
         title = f"{args.runs} runs, {METRICS} metrics x {POINTS} points, in Chromium"
-        return _shown(title, browser_bench.measure(store, PLAYED), args)
+        return _report(title, browser_bench.measure(store, PLAYED), args)
 
 
-def _shown(title: str, found: Iterable[Measured], args: argparse.Namespace) -> int:
+def _report(title: str, found: Iterable[Measured], args: argparse.Namespace) -> int:
     """Print what was measured: 0 if every target is met, else 1."""
     rows = [{**asdict(one), "met": one.met} for one in found]
     if args.json:

@@ -25,7 +25,7 @@ SETTLE_S = 45.0
 """time limit until a page's picture is stable (3D is rendered in software)"""
 PATIENCE_MS = 180_000
 """time limit of a screenshot, long because the machine may be training"""
-DRAWN = """[...document.querySelectorAll(".plot")].every(
+CHARTS_DRAWN = """[...document.querySelectorAll(".plot")].every(
     (plot) => plot.parentElement.querySelector(".main-svg, .plot-failed:not([hidden])")
 )"""
 """whether every chart is there, or its error message"""
@@ -44,7 +44,7 @@ CHROMIUM_FLAGS = (
     "--disable-sync",
 )
 WIDTHS = (1280, 1920)
-SHOWN = {
+PAGES = {
     "answer": ("", {}),
     "curves": ("curves", {}),
     "attention": ("attention", {}),
@@ -77,14 +77,14 @@ def chromium() -> Iterator["Browser"]:
             browser.close()
 
 
-def settled_picture(page: "Page") -> bytes:
+def stable_screenshot(page: "Page") -> bytes:
     """A screenshot of the whole page, once it has stopped changing."""
     page.set_default_timeout(PATIENCE_MS)
     page.wait_for_selector('[data-testid="stMainBlockContainer"]')
     page.wait_for_timeout(3000)
     deadline = time.monotonic() + SETTLE_S
     before, now = b"", page.screenshot()
-    while (before != now or not page.evaluate(DRAWN)) and time.monotonic() < deadline:
+    while (before != now or not page.evaluate(CHARTS_DRAWN)) and time.monotonic() < deadline:
         # The window is as high as the page, which scrolls inside a frame.
         height = page.evaluate("document.querySelector('[data-testid=stMain]').scrollHeight")
         width = page.evaluate("innerWidth")
@@ -97,7 +97,7 @@ def settled_picture(page: "Page") -> bytes:
     return now
 
 
-def take(store: Path, folder: Path) -> int:
+def take_pictures(store: Path, folder: Path) -> int:
     """Write `<name>-<width>-<mode>.png` of `SHOWN` into `folder`. Returns 0.
 
     Raises UserError if the browser is missing.
@@ -111,18 +111,18 @@ def take(store: Path, folder: Path) -> int:
                 context = browser.new_context(
                     viewport={"width": width, "height": 900}, color_scheme=mode
                 )
-                for name, (path, choices) in SHOWN.items():
+                for name, (path, choices) in PAGES.items():
                     page = context.new_page()
-                    page.goto(links.opened(f"{path}?{urlencode(choices)}".removesuffix("?")))
+                    page.goto(links.user_address(f"{path}?{urlencode(choices)}".removesuffix("?")))
                     target = folder / f"{name}-{width}-{mode}.png"
-                    target.write_bytes(compact(settled_picture(page)))
+                    target.write_bytes(to_256_colours(stable_screenshot(page)))
                     print(target, flush=True)
                     page.close()
                 context.close()
     return 0
 
 
-def compact(picture: bytes) -> bytes:
+def to_256_colours(picture: bytes) -> bytes:
     """The same picture in 256 colours: a third of the bytes, without visible difference."""
     image = Image.open(io.BytesIO(picture)).convert("RGB")
     small = io.BytesIO()

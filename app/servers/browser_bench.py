@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 
 from app.router import VIEWS
 from app.scenes.film import cinema, story
-from app.servers.browser import DRAWN, chromium
-from app.servers.cinema import opened, video
+from app.servers.browser import CHARTS_DRAWN, chromium
+from app.servers.cinema import film_tab, video
 from tom.machine import processes
 from tom.record.store import Store
 
@@ -131,7 +131,7 @@ def measure(store: Path, played: str, changes: int = CHANGES) -> Iterator[Measur
         page.wait_for_timeout(SETTLE_MS)
         yield Measured("memory, fresh", memory_mb(pid), "MB", FRESH_MB)
         for view in VIEWS:
-            taken = median(_turn_to(page, view.TITLE) for _ in range(3))
+            taken = median(_open_page(page, view.TITLE) for _ in range(3))
             yield Measured(f"{view.TITLE}, one browser", taken, "s", PAGE_S)
             page.wait_for_timeout(SETTLE_MS)
             before = processor_s(pid)
@@ -156,10 +156,10 @@ def measure(store: Path, played: str, changes: int = CHANGES) -> Iterator[Measur
         for tab in tabs[1:]:
             tab.close()
         for i in range(changes):
-            _turn_to(page, VIEWS[i % len(VIEWS)].TITLE)
+            _open_page(page, VIEWS[i % len(VIEWS)].TITLE)
         yield Measured(f"memory, {changes} pages on", memory_mb(pid), "MB", USED_MB)
     run = Store(store).run(played)
-    with opened(cinema(story(run), run.learner, "light", FILM_S)) as tab:
+    with film_tab(cinema(story(run), run.learner, "light", FILM_S)) as tab:
         began = time.monotonic()
         video(tab, FILM_S)
         yield Measured("film of a minute", time.monotonic() - began, "s", FILM_S)
@@ -188,8 +188,8 @@ def measure_map(store: Path, runs: Mapping[int, str]) -> Iterator[Measured]:
             page.wait_for_timeout(SETTLE_MS)
             step = page.evaluate(STEP)
             yield Measured(f"{rows:,} rows: timeline step", step, "s", STEPPED_S.get(rows))
-            held = _script_mb(page)
-            yield Measured(f"{rows:,} rows: page memory", held, "MB", MEMORY_MB.get(rows))
+            memory = _script_mb(page)
+            yield Measured(f"{rows:,} rows: page memory", memory, "MB", MEMORY_MB.get(rows))
 
 
 def _tab(context: "BrowserContext") -> "Page":
@@ -198,11 +198,11 @@ def _tab(context: "BrowserContext") -> "Page":
     return page
 
 
-def _turn_to(page: "Page", title: str) -> float:
+def _open_page(page: "Page", title: str) -> float:
     """Click on a page's name; seconds until it is drawn."""
     other = VIEWS[0] if title != VIEWS[0].TITLE else VIEWS[1]
     if page.title().startswith(title):
-        _turn_to(page, other.TITLE)
+        _open_page(page, other.TITLE)
     began = time.monotonic()
     page.get_by_role("link", name=title).first.click()
     _wait(page, title)
@@ -215,7 +215,7 @@ def _wait(page: "Page", title: str) -> None:
     page.wait_for_selector(".runlist .section")
     page.wait_for_selector('[data-testid="stSkeleton"]', state="detached")
     page.wait_for_selector('[data-testid="stStatusWidget"]', state="detached")
-    page.wait_for_function(DRAWN)
+    page.wait_for_function(CHARTS_DRAWN)
 
 
 @contextmanager
@@ -234,7 +234,7 @@ def _studio(store: Path) -> Iterator[tuple[float, int, str]]:
         processes.stop([studio], STOP_S)
 
 
-def _family(pid: int) -> list[Path]:
+def _process_tree(pid: int) -> list[Path]:
     """What the kernel says of a process and of all below it."""
     found = [Path("/proc", str(pid))]
     for one in found:
@@ -245,13 +245,13 @@ def _family(pid: int) -> list[Path]:
 
 def memory_mb(pid: int) -> float:
     """MB of a process and of all below it."""
-    kept = [(one / "smaps_rollup").read_text().partition("Pss:")[2] for one in _family(pid)]
+    kept = [(one / "smaps_rollup").read_text().partition("Pss:")[2] for one in _process_tree(pid)]
     return sum(int(text.split()[0]) for text in kept) * 1024 / 1e6
 
 
 def processor_s(pid: int) -> float:
     """Processor seconds that a process and all below it have used."""
-    rows = [(one / "stat").read_text().rpartition(")")[2].split() for one in _family(pid)]
+    rows = [(one / "stat").read_text().rpartition(")")[2].split() for one in _process_tree(pid)]
     return sum(int(ticks) for row in rows for ticks in row[11:13]) / os.sysconf("SC_CLK_TCK")
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from app.data import readers
 from app.parts import widgets
-from app.scenes.film import HEIGHT, SECONDS, WIDTH, cinema, may_be_told, story
+from app.scenes.film import HEIGHT, SECONDS, WIDTH, cinema, has_story, story
 from app.servers.browser import chromium
 from app.theme import Mode
 from tom.cli.output import ProgressReport
@@ -49,15 +49,15 @@ def export(
     Without a run it is the first that weighs. Raises UserError without a story, or a browser.
     """
     runs = [run for run in readers.listing(str(store)).runs if run_id in (None, run.run_id)]
-    told = [run for run in runs if may_be_told(run)]
+    with_story = [run for run in runs if has_story(run)]
     if not runs and run_id:
         raise UserError(f"no run '{run_id}' in {store}: name one of `tom runs list`")
-    if not told:
+    if not with_story:
         which = f"run '{run_id}'" if run_id else f"a run in {store}"
         raise UserError(f"no story of {which}: it needs model fits and its buffer")
-    run = min(told, key=widgets.telling)
+    run = min(with_story, key=widgets.interest_key)
     page = cinema(story(run), run.learner, mode, seconds)
-    with opened(page) as tab:
+    with film_tab(page) as tab:
         with ProgressReport("seconds of the film", round(seconds), sys.stderr) as bar:
             film = video(tab, seconds, lambda share: bar.step())
         count, frames = SHORT_S * SHORT_RATE, []
@@ -80,7 +80,7 @@ def export(
 
 
 @contextmanager
-def opened(page: str) -> Iterator["Page"]:
+def film_tab(page: str) -> Iterator["Page"]:
     """The page in a headless browser, opened from a file."""
     with TemporaryDirectory(prefix="tom-cinema-") as folder, chromium() as browser:
         path = Path(folder) / "cinema.html"

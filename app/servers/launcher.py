@@ -26,7 +26,7 @@ DEFAULT_PORT = 8600
 START_TIMEOUT_S = 60.0
 ATTEMPTS = 3
 """launches, each on a newly found port, before the studio gives up"""
-RETURNING = {
+MALLOC_SETTINGS = {
     "MALLOC_ARENA_MAX": "2",
     "MALLOC_MMAP_THRESHOLD_": "262144",
     "MALLOC_TRIM_THRESHOLD_": "262144",
@@ -52,7 +52,11 @@ class Server:
         self, links: Links, command: Sequence[str] = (sys.executable, "-m", "app.servers.pages")
     ) -> None:
         self.links, self.log = links, links.file("log")
-        environment = {**os.environ, **links.environment(), "OMP_NUM_THREADS": "1"} | RETURNING
+        environment = {
+            **os.environ,
+            **links.environment(),
+            "OMP_NUM_THREADS": "1",
+        } | MALLOC_SETTINGS
         with self.log.open("wb") as log:
             self.process = processes.start(command, log, environment)
 
@@ -101,19 +105,19 @@ class Server:
         self.process.wait()
 
 
-def run(asked: Links, *, browser: bool) -> int:
+def run(requested: Links, *, browser: bool) -> int:
     """Serve until SIGINT or SIGTERM (returns 0), or until the page server fails (returns 1)."""
     stopping = Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: stopping.set())
-    with serving(asked, stopping) as (links, server):
+    with serving(requested, stopping) as (links, server):
         if stopping.is_set():
             return 0
         if server is None:
             return 1
         missing = "" if Path(links.store).exists() else ", which is not there yet"
         store = f"store {links.store}{missing}"
-        print(f"tom studio: {links.opened()}  ({store}; Ctrl-C stops it)", flush=True)
+        print(f"tom studio: {links.user_address()}  ({store}; Ctrl-C stops it)", flush=True)
         if links.base:
             print(f"            behind a proxy: its address in place of {links.root}", flush=True)
         elif links.local_only:
@@ -123,7 +127,9 @@ def run(asked: Links, *, browser: bool) -> int:
         if browser and display:
             # A file that redirects to it, because all users can see a browser's arguments.
             page = links.file("studio.html")
-            page.write_text(f'<!doctype html><script>location.replace("{links.opened()}")</script>')
+            page.write_text(
+                f'<!doctype html><script>location.replace("{links.user_address()}")</script>'
+            )
             webbrowser.open(page.as_uri())
         while not stopping.wait(0.5):
             if not server.running:
@@ -133,13 +139,13 @@ def run(asked: Links, *, browser: bool) -> int:
 
 
 @contextmanager
-def serving(asked: Links, stopping: Event) -> Iterator[tuple[Links, Server | None]]:
-    """The links and the healthy page server of a studio, as `asked`; None if that did not start.
+def serving(requested: Links, stopping: Event) -> Iterator[tuple[Links, Server | None]]:
+    """The links and the healthy page server of a studio as `requested`; None if it did not start.
 
     Raises UserError if it cannot listen where it should.
     """
     with tempfile.TemporaryDirectory(prefix="tom-studio-") as folder, ExitStack() as started:
-        links, attempts = plan(asked, folder), 0
+        links, attempts = with_port_and_key(requested, folder), 0
         if not links.local_only:
             print(OPEN, file=sys.stderr)
         while True:
@@ -150,37 +156,37 @@ def serving(asked: Links, stopping: Event) -> Iterator[tuple[Links, Server | Non
             if up or stopping.is_set() or not server.port_was_taken or attempts == ATTEMPTS:
                 break
             # Another program took it, if only for a moment, after it was found free.
-            links = plan(asked, folder)
+            links = with_port_and_key(requested, folder)
         if not up and not stopping.is_set():
             print(f"tom studio: it did not start:\n{server.tail()}", file=sys.stderr)
         yield links, server if up else None
 
 
-def plan(asked: Links, folder: str) -> Links:
-    """The links of a studio as `asked`, with a port (that of `asked` must be free) and a key.
+def with_port_and_key(requested: Links, folder: str) -> Links:
+    """The links `requested`, with a key and a port; a requested port must be free.
 
     Raises UserError if it cannot listen on its host and port.
     """
     try:
-        port = _port(asked.host, asked.port)
+        port = _port(requested.host, requested.port)
     except (OSError, OverflowError) as error:
         raise UserError(
-            f"cannot listen on --host {asked.host}: {error}; use 127.0.0.1 or an address of "
+            f"cannot listen on --host {requested.host}: {error}; use 127.0.0.1 or an address of "
             "this machine"
         ) from error
-    return replace(asked, port=port, folder=folder, key=secrets.token_urlsafe())
+    return replace(requested, port=port, folder=folder, key=secrets.token_urlsafe())
 
 
-def _port(host: str, asked: int) -> int:
-    if not asked:
+def _port(host: str, requested: int) -> int:
+    if not requested:
         return DEFAULT_PORT if is_free(host, DEFAULT_PORT) else address.free_port(host)
-    if not 1 <= asked <= 65535:
-        raise UserError(f"--port {asked} is no port: use one from 1024 to 65535")
-    if not is_free(host, asked):
+    if not 1 <= requested <= 65535:
+        raise UserError(f"--port {requested} is no port: use one from 1024 to 65535")
+    if not is_free(host, requested):
         raise UserError(
-            f"port {asked} is taken: use --port {address.free_port(host)}, or leave --port out"
+            f"port {requested} is taken: use --port {address.free_port(host)}, or leave --port out"
         )
-    return asked
+    return requested
 
 
 def is_free(host: str, port: int) -> bool:

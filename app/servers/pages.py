@@ -34,7 +34,7 @@ from app.theme import streamlit_options
 from tom import plugins
 from tom.machine import processes
 
-KEPT = "max-age=31536000, immutable"
+CACHE_FOREVER = "max-age=31536000, immutable"
 """how long a browser keeps what never changes at its address"""
 FIRST_S = 10.0
 """how long the imports of other pages wait for the first drawing"""
@@ -42,7 +42,14 @@ RESTART_S = 3.0
 """from the end of a 3D server to the next"""
 LARGEST_FIGURE = 20_000_000
 """bytes of a figure that a page sends to have it drawn for a paper"""
-NO_FIGURE = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, RecursionError)
+FIGURE_ERRORS = (
+    ValueError,
+    TypeError,
+    LookupError,
+    ArithmeticError,
+    AttributeError,
+    RecursionError,
+)
 """what the drawing of something raises that is no figure"""
 
 FORWARDED = {
@@ -123,10 +130,10 @@ def routes(links: Links) -> list[BaseRoute]:
         return FileResponse(path, headers={"Content-Security-Policy": allowed})
 
     def array(request: Request) -> Response:
-        content = cache.array(request.path_params["name"])
+        content = cache.published_array(request.path_params["name"])
         if content is None:
             return PlainTextResponse("no such array", status_code=404)
-        headers = {"Cache-Control": f"private, {KEPT}", **viewers.PLAIN}
+        headers = {"Cache-Control": f"private, {CACHE_FOREVER}", **viewers.UNCOMPRESSED}
         return Response(content, media_type="application/octet-stream", headers=headers)
 
     async def figure(request: Request) -> Response:
@@ -138,7 +145,7 @@ def routes(links: Links) -> list[BaseRoute]:
                 raise ValueError("the figure is too large")
             content = await request.json()
             file = await run_in_threadpool(paper.paper_figure, content, width, kind)
-        except NO_FIGURE as error:
+        except FIGURE_ERRORS as error:
             return PlainTextResponse(f"this figure cannot be drawn: {error!r}", status_code=400)
         return Response(file, media_type=paper.KINDS[kind])
 
@@ -154,7 +161,7 @@ def routes(links: Links) -> list[BaseRoute]:
         return RedirectResponse(f".{forwarded(f'/{page}', request.url.query)}")
 
     health = {"store": links.store, "status": "ok", "launch": links.launch}
-    kept = {"Cache-Control": KEPT, **viewers.PLAIN}
+    kept = {"Cache-Control": CACHE_FOREVER, **viewers.UNCOMPRESSED}
     shell, fresh = html(), {"Cache-Control": "no-cache"}
     return [
         Route("/v/{code}", short),
@@ -209,7 +216,7 @@ def options(links: Links) -> dict:
     }
 
 
-def warm(links: Links) -> None:
+def warm_up(links: Links) -> None:
     """Make ready what a visitor would wait for: the first page and all metrics before its drawing,
     which gets the whole processor; then the other pages, which import torch."""
     VIEWS[0].load()
@@ -237,7 +244,7 @@ def main() -> None:
     config.get_config_files = lambda _name: []
     plugins.load()
     links = Links.from_environment()
-    Thread(target=warm, args=(links,), daemon=True).start()
+    Thread(target=warm_up, args=(links,), daemon=True).start()
     guard = Middleware(Guard, links=links)
     app = st.App(ENTRY.resolve(), routes=routes(links), middleware=[guard])
     app.run(config=options(links))

@@ -41,9 +41,9 @@ from tom.record.store import Store
 RECORDING = "application/octet-stream"
 EPISODE = re.compile(r"episode-(\d{1,12})-(\d{1,4})-([1-9]\d{0,3})\.rrd")
 """a single evaluation episode: step, number from 0, steps after which the ghost restarts"""
-PLAIN = {"Content-Encoding": "identity"}
+UNCOMPRESSED = {"Content-Encoding": "identity"}
 """not to be compressed: that takes seconds for a viewer, and would hold a stream back"""
-FRESH = {"Cache-Control": "no-store"}
+NO_STORE = {"Cache-Control": "no-store"}
 PIECE_BYTES = 1 << 16
 TRY_AGAIN = 1013
 """the code with which a socket is closed while there is no 3D server; viser's page comes back"""
@@ -58,12 +58,12 @@ def routes(links: Links) -> list[BaseRoute]:
             parts = map(int, wanted.groups())
             content = await run_in_threadpool(episode, links.store, run_id, *parts)
             if content is not None:
-                return Response(content, media_type=RECORDING, headers=FRESH)
-        elif name == LIVE and found(links.store, run_id):
-            pieces = growing(links.store, run_id)
-            return StreamingResponse(pieces, media_type=RECORDING, headers=FRESH | PLAIN)
+                return Response(content, media_type=RECORDING, headers=NO_STORE)
+        elif name == LIVE and find_run(links.store, run_id):
+            pieces = live_recording(links.store, run_id)
+            return StreamingResponse(pieces, media_type=RECORDING, headers=NO_STORE | UNCOMPRESSED)
         elif path := recording_path(links.store, run_id, name):
-            return FileResponse(path, media_type=RECORDING, headers=FRESH)
+            return FileResponse(path, media_type=RECORDING, headers=NO_STORE)
         return PlainTextResponse("no such recording", status_code=404)
 
     async def scene(frame: WebSocket) -> None:
@@ -82,7 +82,7 @@ def routes(links: Links) -> list[BaseRoute]:
                 ping_interval=None,
             ) as server:
                 await frame.accept(server.subprotocol)
-                await _carry(frame, server)
+                await _relay(frame, server)
         except OSError:
             await frame.close(TRY_AGAIN)
 
@@ -108,7 +108,7 @@ class Viewer(StaticFiles):
 
     async def get_response(self, path: str, scope: Scope) -> Response:
         response = await super().get_response(path, scope)
-        response.headers.update({**PLAIN, "Cache-Control": "no-cache"})
+        response.headers.update({**UNCOMPRESSED, "Cache-Control": "no-cache"})
         return response
 
     def _unpack(self) -> None:
@@ -125,10 +125,10 @@ def scene_page(request: Request) -> Response:
     html = Path(package.origin).with_name("client").joinpath("build", "index.html").read_text()
     colour = BACKGROUND["dark" if "darkMode" in request.query_params else "light"]
     style = f"<head><style>html {{ background: {colour} }}</style>"
-    return HTMLResponse(html.replace("<head>", style, 1), headers=PLAIN)
+    return HTMLResponse(html.replace("<head>", style, 1), headers=UNCOMPRESSED)
 
 
-async def _carry(frame: WebSocket, server: ClientConnection) -> None:
+async def _relay(frame: WebSocket, server: ClientConnection) -> None:
     """Carry messages between a frame and the 3D server until one of them hangs up."""
 
     async def to_frame() -> None:
@@ -148,7 +148,7 @@ async def _carry(frame: WebSocket, server: ClientConnection) -> None:
         await asyncio.gather(*both, return_exceptions=True)  # a message to who has hung up
 
 
-async def growing(store: str, run_id: str) -> AsyncIterator[bytes]:
+async def live_recording(store: str, run_id: str) -> AsyncIterator[bytes]:
     """A recording that grows with its run, from a process that ends with its reader."""
     command = [sys.executable, "-m", "tom.record.rerun.feed", store, run_id]
     feed = await asyncio.create_subprocess_exec(*command, stdout=PIPE, preexec_fn=end_with_parent)
@@ -161,7 +161,7 @@ async def growing(store: str, run_id: str) -> AsyncIterator[bytes]:
             feed.kill()
 
 
-def found(store: str, run_id: str) -> RunReader | None:
+def find_run(store: str, run_id: str) -> RunReader | None:
     """The run of that id; None if there is none."""
     with suppress(UserError):
         return Store(store).run(run_id)
@@ -182,6 +182,6 @@ def episode(store: str, run_id: str, step: int, index: int, horizon: int) -> byt
 
 def recording_path(store: str, run_id: str, name: str) -> Path | None:
     """The file of a run's recording; None if there is no such recording."""
-    run = found(store, run_id)
+    run = find_run(store, run_id)
     files = [path for path in (run.rrd_files() if run else ()) if path.name == name]
     return next((path for path in files if path.is_file() and not path.is_symlink()), None)

@@ -10,8 +10,8 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import session, text
 from app.data import studies
-from app.data.every_way import EVERY_WAY, every_ways
 from app.data.studies import QUESTIONS, Study
+from app.data.two_axes import QUESTION, verdicts
 from app.data.verdicts import Verdict, verdict
 from app.figures.statistics import intervals, two_axes
 from app.parts import address, form, jobs
@@ -36,64 +36,64 @@ def page(scope: Scope) -> None:
     if listed:
         opened = address.value_of("study", lambda given: "".join(given[-1:]))
         if opened in by_name:
-            asked = by_name[opened].asked
-            alike = [study.name for study in listed if study.asked == asked]
+            asked = by_name[opened].question_key
+            alike = [study.name for study in listed if study.question_key == asked]
             _whole(by_name[address.choose_part([EVERY, *alike], "study", "Study")])
         else:
-            address.keep("study", [])
+            address.write("study", [])
             _cards(listed)
     else:
         st.info(f"No study has been computed yet: there is none in `{studies.FOLDER.absolute()}`.")
     others = [name for name in QUESTIONS if name not in by_name]
     if others:
         with st.expander("Studies not computed here", expanded=not listed):
-            _offer(others)
+            _offer_studies(others)
 
 
 def _cards(listed: Sequence[Study]) -> None:
     """All ways of weighing on two axes, where both studies are known; then each question."""
-    both = every_ways(listed)
+    both = verdicts(listed)
     if both:
         with st.container(border=True):
-            st.header(EVERY_WAY, anchor=False)
-            study = _chosen([study for study in listed if study.name in both], "ways")
+            st.header(QUESTION, anchor=False)
+            study = _choose_study([study for study in listed if study.name in both], "ways")
             found = both[study.name]
             label = "every way of weighing: distance to the policy, and its model's error"
-            with _judged(found):
+            with _draw_verdict(found):
                 chart(
                     two_axes(found.panels, 430, study.name), f"every way {study.name}", label,
-                    caption=f"{EVERY_WAY} {found.sentence} {found.caption}",
+                    caption=f"{QUESTION} {found.sentence} {found.caption}",
                 )  # fmt: skip
                 st.caption(text.markdown(found.caption), width=WIDE)
     grid = st.container(horizontal=True, key="grid")
     alike: dict[str, list[Study]] = {}
     for study in listed:
-        alike.setdefault(study.asked, []).append(study)
+        alike.setdefault(study.question_key, []).append(study)
     for asked, of in alike.items():
         with grid, st.container(border=True, height="stretch"):
             head = st.container()
-            _card(_chosen(of, asked), head)
+            _card(_choose_study(of, asked), head)
 
 
-def _chosen(alike: Sequence[Study], key: str) -> Study:
+def _choose_study(candidates: Sequence[Study], key: str) -> Study:
     """The study that the user has chosen of those that answer one question."""
-    if len(alike) == 1:
-        return alike[0]
-    by_name = {study.name: study for study in alike}
+    if len(candidates) == 1:
+        return candidates[0]
+    by_name = {study.name: study for study in candidates}
     name = address.choose_one(
-        st.selectbox, "Measured on", [*by_name], key, alike[0].name,
-        lambda name: by_name[name].measured, width=400,
+        st.selectbox, "Measured on", [*by_name], key, candidates[0].name,
+        lambda name: by_name[name].distinction, width=400,
     )  # fmt: skip
     return by_name[name]
 
 
-def _judged(found: Verdict) -> DeltaGenerator:
+def _draw_verdict(found: Verdict) -> DeltaGenerator:
     """A verdict in a word and a sentence, a place for its figure, and what speaks against it."""
     st.markdown(f"### {SIGNS[found.word]} {found.word}")
-    st.markdown(text.linked(text.markdown(found.sentence)))
+    st.markdown(text.with_glossary_links(text.markdown(found.sentence)))
     place = st.container()
     if found.against:
-        st.markdown(f"**Against it.** {text.linked(text.markdown(found.against))}")
+        st.markdown(f"**Against it.** {text.with_glossary_links(text.markdown(found.against))}")
     return place
 
 
@@ -107,7 +107,7 @@ def _card(study: Study, head: DeltaGenerator) -> None:
     asked = question(study, found)
     head.header(text.markdown(asked or study.name), anchor=False)
     if found is not None:
-        place = _judged(found)
+        place = _draw_verdict(found)
     else:
         if study.findings:
             st.markdown(f"**{text.markdown(study.findings[0])}**")
@@ -170,7 +170,7 @@ def _whole(study: Study) -> None:
         with st.expander(f"{title}, {len(table):,} lines") if folded else st.container():
             if not folded:
                 st.markdown(title)
-            _lines(path.stem, table)
+            _draw_table(path.stem, table)
 
 
 def _command(study: Study, title: str) -> None:
@@ -179,7 +179,7 @@ def _command(study: Study, title: str) -> None:
             st.code(study.origin["command"], language="bash", wrap_lines=True)
 
 
-def _lines(name: str, table: pd.DataFrame) -> None:
+def _draw_table(name: str, table: pd.DataFrame) -> None:
     numbers = {
         column: st.column_config.NumberColumn(format="%.4g")
         for column in table.select_dtypes("floating").columns
@@ -188,7 +188,7 @@ def _lines(name: str, table: pd.DataFrame) -> None:
     st.dataframe(shown, hide_index=True, column_config=numbers, placeholder="-", alt=name)
 
 
-def _offer(names: Sequence[str]) -> None:
+def _offer_studies(names: Sequence[str]) -> None:
     """The commands of studies, and buttons that run them."""
     if why := session.read_only_reason():
         st.caption(why)
@@ -197,8 +197,8 @@ def _offer(names: Sequence[str]) -> None:
         about = () if name in ("road", "tabular") else ("--store", session.links().store)
         words = ["reproduce", name, *about]
         left, right = st.columns([5, 1], vertical_alignment="center")
-        left.code(form.shown(words), language="bash")
-        disabled = jobs.runs(name) or bool(why)
+        left.code(form.command_line(words), language="bash")
+        disabled = jobs.is_running(name) or bool(why)
         if right.button("Run", key=f"run {name}", disabled=disabled, width="stretch"):
             jobs.start(name, words)
             st.rerun()

@@ -20,7 +20,7 @@ from app.parts import address
 from app.router import VIEWS, draw
 
 [view] = [view for view in VIEWS if view.name == "{view}"]
-address.visit(view.PATH)
+address.enter_page(view.PATH)
 draw(view.page)
 """
 

@@ -12,7 +12,9 @@ def test_every_linked_word_has_an_entry_with_its_anchor() -> None:
     places = re.findall(r'id="([^"]+)"', pages_text.glossary())
     assert len(set(places)) == len(places) == len(pages_text.terms())
     for word in pages_text.LINKED:
-        (target,) = re.findall(r"\(glossary#(.+?)\)", pages_text.linked(f"the {word} of a fit"))
+        (target,) = re.findall(
+            r"\(glossary#(.+?)\)", pages_text.with_glossary_links(f"the {word} of a fit")
+        )
         assert target in places
 
 
@@ -21,4 +23,4 @@ def test_every_linked_word_has_an_entry_with_its_anchor() -> None:
     [("A footprint is a Footprint", 1), ("exam/footprint", 0), ("[exam](x)", 0), ("examined", 0)],
 )
 def test_a_term_is_linked_where_it_stands_first(text: str, links: int) -> None:
-    assert pages_text.linked(text).count("glossary#") == links
+    assert pages_text.with_glossary_links(text).count("glossary#") == links

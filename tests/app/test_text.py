@@ -53,4 +53,4 @@ def test_plotly_has_no_tags() -> None:
     [("12", 12), (7, 7), ("", None), ("-1", None), ("\u00b2", None), ("9" * 5000, None)],
 )
 def test_a_whole_number(words: object, value: int | None) -> None:
-    assert text.whole(words) == value
+    assert text.parse_int(words) == value

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from app.figures.curves import looks_of
+from app.figures.curves import styles_of
 from app.theme import (
     ACCENT,
     BACKGROUND,
@@ -22,9 +22,9 @@ from app.theme import (
     learner_colour,
     learner_label,
     learner_symbol,
-    on_scale,
     ramp,
     rgb,
+    scale_colours,
 )
 from tom.analysis.settings import Kind
 from tom.learners import LEARNERS
@@ -79,10 +79,10 @@ def test_a_newcomer_in_the_registry_gets_a_spare_colour(monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize("mode", ["light", "dark"])
 def test_learners_groups_and_points_stand_out_from_the_page(mode: Mode) -> None:
-    along = on_scale(np.linspace(0, 1, 101), COLUMNS[mode])
+    along = scale_colours(np.linspace(0, 1, 101), COLUMNS[mode])
     points = ["#" + bytes(map(int, colour)).hex() for colour in along]
     variants = [Kind(learner, "", f"model.hidden {n}") for learner in LEARNERS for n in range(40)]
-    shades = [look.colour for look in looks_of(("hopper", kind) for kind in variants).values()]
+    shades = [look.colour for look in styles_of(("hopper", kind) for kind in variants).values()]
     for colours, least in (
         (LEARNER_COLOURS.values(), 3.0), (QUALITATIVE, 3.0), (points, 3.0), (ramp(7, mode), 2.8),
         (shades, 3.0),
@@ -119,11 +119,11 @@ def test_a_group_s_look_is_the_same_whatever_is_shown_beside_it() -> None:
         for preset in ("paper", "mended", "smoke")
         for variant in settings
     ]
-    looks = looks_of(("hopper", kind) for kind in kinds)
+    looks = styles_of(("hopper", kind) for kind in kinds)
     assert {look.dash for look in looks.values()} == {"solid"}
     for kind, look in looks.items():
         for beside in ([kind], [kinds[-1], kind], [k for k in kinds if k.preset == kind.preset]):
-            again = looks_of(("hopper", one) for one in beside)[kind]
+            again = styles_of(("hopper", one) for one in beside)[kind]
             assert (again.colour, again.core) == (look.colour, look.core)
             assert again.symbol == look.symbol
     for learner in ("tom", "mle", "pmac"):
@@ -135,7 +135,7 @@ def test_a_group_s_look_is_the_same_whatever_is_shown_beside_it() -> None:
 @pytest.mark.parametrize("vision", VISION)
 def test_tom_as_printed_is_told_from_all_main_groups_by_every_eye(vision: str) -> None:
     kind = Kind("tom", "paper", "")
-    core = lab(VISION[vision] @ light(looks_of([("hopper", kind)])[kind].core))
+    core = lab(VISION[vision] @ light(styles_of([("hopper", kind)])[kind].core))
     others = [lab(VISION[vision] @ light(colour)) for colour in LEARNER_COLOURS.values()]
     assert min(np.linalg.norm(core - other) for other in others) >= 14
 

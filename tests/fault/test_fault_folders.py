@@ -31,7 +31,7 @@ from tom.record import RunReader, Store, checkpoint
 from tom.record.export import export
 from tom.record.integrity import verify
 from tom.reports.index import index
-from tom.training.resume import resumable_config, resume, unfinished
+from tom.training.resume import find_unfinished, resumable_config, resume
 from tom.training.run import train
 
 pytestmark = pytest.mark.fault
@@ -132,7 +132,7 @@ def test_a_run_whose_checkpoints_cannot_be_read_for_now__is_not_begun_beside_its
     run = store.run("stopped")
     fail(monkeypatch, "open", run.path / checkpoint.FOLDER, errno.EIO)
     with pytest.raises(TryLaterError):
-        unfinished(store, resumable_config(run))
+        find_unfinished(store, resumable_config(run))
     assert "cannot be read" in "\n".join(verify(run))
     assert "cannot be resumed" not in "\n".join(verify(run))
 

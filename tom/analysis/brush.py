@@ -28,7 +28,7 @@ from tom.exams.diagnostics import one_step_error, step_scale
 from tom.learners.base import Weighting
 from tom.rng import Streams
 
-AS_IT_IS = 1.0
+UNCHANGED = 1.0
 FACTORS = (0.0, 0.25, 4.0)
 HELD_OUT = 0.2
 """share of the buffer that is held out, in whole episodes"""
@@ -59,7 +59,7 @@ def check_factor(factor: float) -> None:
         raise UserError(f"factor {factor:g}: must be a finite number, at least 0")
 
 
-def brushed(weights: Tensor, region: Tensor, factor: float) -> Tensor:
+def brushed_weights(weights: Tensor, region: Tensor, factor: float) -> Tensor:
     """The weights (N,), multiplied by `factor` in the region (N,), then scaled to mean 1.
 
     Raises UserError if all weights would be zero.
@@ -70,7 +70,7 @@ def brushed(weights: Tensor, region: Tensor, factor: float) -> Tensor:
     return normalised
 
 
-def fits(
+def fit_brushed(
     rows: TensorTransitions,
     weights: Tensor,
     region: Tensor,
@@ -88,7 +88,7 @@ def fits(
     """
     if not bool(region.any()) or bool(region.all()):
         raise UserError("the region must hold some of the buffer's transitions, not all")
-    every = {factor: brushed(weights, region, factor) for factor in (AS_IT_IS, *factors)}
+    every = {factor: brushed_weights(weights, region, factor) for factor in (UNCHANGED, *factors)}
     scale = step_scale(rows)
     for seed in seeds:
         held_out = held_out_rows(rows, HELD_OUT, Streams(seed).torch("held out"))

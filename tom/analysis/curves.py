@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.analysis import statistics
-from tom.analysis.settings import Kind, natural
+from tom.analysis.settings import Kind, natural_sort_key
 from tom.spread import spread
 
 Statistic = Literal["mean", "median", "iqm"]
@@ -142,7 +142,9 @@ def groups(
             keyed.setdefault((curve.env, curve.kind), []).append(curve)
     return [
         aggregate(sorted(keyed[key], key=lambda c: c.seed), statistic, band)
-        for key in sorted(keyed, key=lambda key: (key[0], *key[1][:2], natural(key[1].variant)))
+        for key in sorted(
+            keyed, key=lambda key: (key[0], *key[1][:2], natural_sort_key(key[1].variant))
+        )
     ]
 
 

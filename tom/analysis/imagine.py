@@ -99,17 +99,17 @@ def step_errors(model: Predictor, transitions: Transitions) -> Floats:
     return errors_of_rows(model, transitions.torch()).numpy()
 
 
-def joint_positions(known: Task, episode: Episode, obs: NDArray, dt: float, horizon: int) -> Floats:
+def joint_positions(task: Task, episode: Episode, obs: NDArray, dt: float, horizon: int) -> Floats:
     """Joint positions (H + 1, nq) for an episode's imagined observations (H + 1, O).
 
     Observations leave out the root's position on the ground. It is integrated from the root's
     velocity (trapezoid rule, `dt` seconds), from the real position every `horizon` steps.
     """
     assert episode.qpos is not None, "an episode of a MuJoCo task"
-    assert known.root_dims is not None, "whose observations hold the joints"
-    qpos = known.qpos_from_obs(np.asarray(obs, np.float32)).copy()
-    roots = known.root_dims
-    moving = slice(known.nq - roots, known.nq)  # the root's velocity, first of the velocities
+    assert task.root_dims is not None, "whose observations hold the joints"
+    qpos = task.qpos_from_obs(np.asarray(obs, np.float32)).copy()
+    roots = task.root_dims
+    moving = slice(task.nq - roots, task.nq)  # the root's velocity, first of the velocities
     place = np.asarray(episode.qpos[:, :roots], np.float64).copy()
     for t in range(len(obs) - 1):
         restart = t % horizon == 0

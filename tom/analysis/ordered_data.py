@@ -9,7 +9,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tom.data.card import Card, take, with_rule
+from tom.data.card import Card, make_card, with_rule
 from tom.data.datasets import initial_obs, read_dataset, where_else
 from tom.data.transitions import TensorTransitions, Transitions
 from tom.envs import ENVS, ROAD, GymnasiumTask, Task, task
@@ -61,10 +61,10 @@ def load_data(
     """
     path = Path(name).absolute()
     if path.parent.name == layout.WEIGHINGS and (path / layout.CONFIG).is_file():
-        return of_run(RunReader(path), step)  # the rows that a weighing keeps are read as a run's
+        return load_run(RunReader(path), step)  # the rows that a weighing keeps are read as a run's
     run = find_run(name, store)
     if run is not None:
-        return of_run(run, step)
+        return load_run(run, step)
     if not path.exists():
         raise UserError(
             f"no data '{name}': name a run of {store.path}/ or a run folder; {where_else(name)}"
@@ -76,10 +76,10 @@ def load_data(
         )
     if env is None:
         raise UserError(f"{name} does not say which task it is of: add --env")
-    return _of_dataset(name, env)
+    return _load_dataset(name, env)
 
 
-def _of_dataset(name: str, env: str) -> OrderedData:
+def _load_dataset(name: str, env: str) -> OrderedData:
     """The transitions of a dataset, which were recorded in the own units of the task `env`."""
     known = task(env)
     recording = read_dataset(name)
@@ -110,44 +110,44 @@ def _of_dataset(name: str, env: str) -> OrderedData:
         if version is None
         else torch.from_numpy(version),
         initial_obs=torch.as_tensor(initial_obs(rows)),
-        card=of_task(recording.card, known, rows),
+        card=with_task(recording.card, known, rows),
         ordered_from=0,
         end=len(rows),
         behaviour=None if behaviour is None else torch.from_numpy(behaviour),
     )
 
 
-def of_task(card: Card, known: Task, rows: Transitions) -> Card:
+def with_task(card: Card, task: Task, rows: Transitions) -> Card:
     """The card beside what the task says of itself; its `rows` are as agents see them."""
-    offset, scale = known.obs_units
+    offset, scale = task.obs_units
     card = replace(
         card,
-        task=known.name,
-        limit=known.max_episode_steps,
-        bounds=action_bounds(known),
+        task=task.name,
+        limit=task.max_episode_steps,
+        bounds=action_bounds(task),
         seen=card.obs.moved(-offset / scale, 1 / scale),
-        others=known.notices,
+        others=task.notices,
     )
-    if not known.knows_ends:
+    if not task.knows_ends:
         return card
-    return with_rule(card, known.terminated, rows.torch(), f"of {known.name}")
+    return with_rule(card, task.terminated, rows.torch(), f"of {task.name}")
 
 
-def card_of_run(rows: Transitions, known: Task) -> Card:
+def card_of_run(rows: Transitions, task: Task) -> Card:
     """The card of rows that a run collected, in the task's own units."""
-    low, high = (bound.astype(np.float64) for bound in action_bounds(known))
-    card = take(rows)
-    units = known.obs_units
+    low, high = (bound.astype(np.float64) for bound in action_bounds(task))
+    card = make_card(rows)
+    units = task.obs_units
     card = replace(
         card,
         action=card.action.moved((high + low) / 2, (high - low) / 2),
         obs=card.obs.moved(*units),
         starts=card.starts.moved(*units),
     )
-    return of_task(card, known, rows)
+    return with_task(card, task, rows)
 
 
-def of_run(run: RunReader, step: int | None = None) -> OrderedData:
+def load_run(run: RunReader, step: int | None = None) -> OrderedData:
     """All transitions that a run collected, or its replay buffer at env step `step`.
 
     Raises UserError if there are none, or no such step.
@@ -197,13 +197,13 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
     )
 
 
-def to_unit_range(action: NDArray, known: Task) -> NDArray[np.float32]:
+def to_unit_range(action: NDArray, task: Task) -> NDArray[np.float32]:
     """Actions (N, A) in the task's own control range, rescaled to [-1, 1]."""
-    low, high = action_bounds(known)
+    low, high = action_bounds(task)
     return ((2 * action - (high + low)) / (high - low)).astype(np.float32)
 
 
-def in_own_units(run: RunReader, rows: Transitions) -> Transitions:
+def to_env_units(run: RunReader, rows: Transitions) -> Transitions:
     """Rows of a run's record in its task's own units; imports no task of the user's."""
     described = run.config.get("task")
     if isinstance(described, dict):
@@ -221,11 +221,11 @@ def in_own_units(run: RunReader, rows: Transitions) -> Transitions:
     )
 
 
-def action_bounds(known: Task) -> tuple[NDArray, NDArray]:
+def action_bounds(task: Task) -> tuple[NDArray, NDArray]:
     """The least and the largest action of a task, (A,) each, in its own units."""
-    if isinstance(known, GymnasiumTask):  # its wrappers may have changed the innermost bounds
-        return np.array(known.action_low, np.float32), np.array(known.action_high, np.float32)
-    space = known.make().unwrapped.action_space
+    if isinstance(task, GymnasiumTask):  # its wrappers may have changed the innermost bounds
+        return np.array(task.action_low, np.float32), np.array(task.action_high, np.float32)
+    space = task.make().unwrapped.action_space
     assert isinstance(space, Box)
     return space.low, space.high
 
@@ -239,10 +239,10 @@ def find_run(name: str, store: Store) -> RunReader | None:
     return store.run(name) if inside else None
 
 
-def _check_dims(name: str, rows: Transitions, known: Task) -> None:
+def _check_dims(name: str, rows: Transitions, task: Task) -> None:
     dims = rows.obs.shape[1], rows.action.shape[1]
-    if dims != (known.obs_dim, known.action_dim):
+    if dims != (task.obs_dim, task.action_dim):
         raise UserError(
-            f"{name} has {dims[0]} observations and {dims[1]} actions, {known.name} has "
-            f"{known.obs_dim} and {known.action_dim}: is it data of another task or version?"
+            f"{name} has {dims[0]} observations and {dims[1]} actions, {task.name} has "
+            f"{task.obs_dim} and {task.action_dim}: is it data of another task or version?"
         )

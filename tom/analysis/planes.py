@@ -22,7 +22,7 @@ CHUNK = 65_536
 CLIP = 1 / 32
 """lighter rows, as a multiple of the mean weight, count as this light"""
 ROWS_PER_CELL = 24
-NAMED = 2
+MAX_LOADINGS = 2
 """number of dimensions after which an axis is named"""
 CONSTANT = 1e-9
 """a feature with a smaller standard deviation does not vary"""
@@ -108,7 +108,7 @@ def contrast_of(rows: Transitions, weight: NDArray, names: Names) -> Plane:
         score = x @ axes[-1]
         # What the first component leaves of X' y; its score has mean 0, so y need not be centred.
         along = along - x.T @ score * (score @ y / (score @ score))
-    return Plane(np.stack(axes, 1), mean, scale, described(np.stack(axes, 1), names))
+    return Plane(np.stack(axes, 1), mean, scale, axis_names(np.stack(axes, 1), names))
 
 
 def principal_of(rows: Transitions, names: Names) -> Plane:
@@ -116,7 +116,7 @@ def principal_of(rows: Transitions, names: Names) -> Plane:
     table = features(rows[spread(len(rows), FITTED)])
     mean, scale = standard(table)
     axes = _components((table - mean) * scale) * (scale > 0)[:, None]
-    return Plane(axes, mean, scale, described(axes, names))
+    return Plane(axes, mean, scale, axis_names(axes, names))
 
 
 def of_layer(hidden: NDArray) -> Plane:
@@ -134,7 +134,7 @@ def _components(centred: NDArray) -> NDArray[np.float64]:
     return axes * np.sign(axes[np.abs(axes).argmax(0), np.arange(2)])
 
 
-def described(axes: NDArray, names: Names) -> tuple[str, str]:
+def axis_names(axes: NDArray, names: Names) -> tuple[str, str]:
     """Two axes (D, 2) by their largest loadings: `leg angle down, torso x velocity up`."""
 
     def of(axis: NDArray) -> str:
@@ -154,10 +154,10 @@ def loadings(axis: NDArray, names: Sequence[str]) -> dict[str, int]:
     for i in np.argsort(-np.abs(axis), kind="stable"):
         if axis[i] != 0:
             largest.setdefault(names[int(i)].removeprefix("next "), 1 if axis[i] > 0 else -1)
-    return dict(list(largest.items())[:NAMED])
+    return dict(list(largest.items())[:MAX_LOADINGS])
 
 
-def explained(xy: NDArray, weight: NDArray) -> float:
+def explained_share(xy: NDArray, weight: NDArray) -> float:
     """The share of the log weights (N,) that the cells of a plane (N, 2) explain; 0 at the least.
 
     The cells' means, drawn towards the mean of all by one row, are those of a random half of the

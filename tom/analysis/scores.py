@@ -28,7 +28,7 @@ def common_start(curves: Iterable[Curve]) -> float:
     return max(float(curve.step[0]) for curve in curves)
 
 
-def begun(curves: Iterable[Curve], until: float) -> bool:
+def all_have_started(curves: Iterable[Curve], until: float) -> bool:
     """Whether every curve has a point up to step `until`, so that all runs have a score."""
     return all(curve.step[0] <= until for curve in curves)
 

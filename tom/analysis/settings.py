@@ -16,8 +16,8 @@ from tom.record import RunReader
 from tom.training.presets import resolve
 
 # They do not change a run's numbers, or at most its length.
-NO_MATTER = {"seed", "steps", "checkpoint_every", "snapshots", "bins", "threads"}
-NO_MATTER |= {"device", "matmul", "env", "learner", "preset"}
+NEUTRAL_SETTINGS = {"seed", "steps", "checkpoint_every", "snapshots", "bins", "threads"}
+NEUTRAL_SETTINGS |= {"device", "matmul", "env", "learner", "preset"}
 NONE = "-"
 
 
@@ -29,7 +29,7 @@ def differences(runs: Sequence[RunReader]) -> dict[str, list[str]]:
     return {path: words for path, words in rows.items() if len(set(words)) > 1}
 
 
-def telling_presets(kinds: Sequence[RunReader]) -> list[str]:
+def distinguishing_presets(kinds: Sequence[RunReader]) -> list[str]:
     """The preset of each, empty if its learner has only one preset in its task."""
     used: dict[tuple[str, str], set[str]] = {}
     for one in kinds:
@@ -47,17 +47,17 @@ def variants(runs: Sequence[RunReader]) -> dict[str, str]:
     for run in runs:
         kinds.setdefault((run.env, run.learner, run.preset), []).append(run)
     variant_of: dict[str, str] = {}
-    for (env, learner, preset), members in kinds.items():
-        apart = {
+    for (env, learner, preset), group_runs in kinds.items():
+        differing = {
             path: words
-            for path, words in differences(members).items()
-            if matters(path, learner) and len(set(words) - {NONE}) > 1
+            for path, words in differences(group_runs).items()
+            if affects_results(path, learner) and len(set(words) - {NONE}) > 1
         }
         own: Settings = {}
         with suppress(UserError):  # a task, learner or preset that is not known here
             own = in_words(resolve(env, learner, preset).model_dump(mode="json"))
-        for i, run in enumerate(members):
-            words = [f"{path} {of[i]}" for path, of in apart.items() if of[i] != own.get(path)]
+        for i, run in enumerate(group_runs):
+            words = [f"{path} {of[i]}" for path, of in differing.items() if of[i] != own.get(path)]
             variant_of[run.run_id] = ", ".join(words)
     return variant_of
 
@@ -71,11 +71,11 @@ def changed(run: RunReader) -> dict[str, str]:
     return {
         path: words
         for path, words in run.settings.items()
-        if matters(path, run.learner) and words != usual.get(path, words)
+        if affects_results(path, run.learner) and words != usual.get(path, words)
     }
 
 
-def unlike(runs: Sequence[RunReader]) -> list[str]:
+def differing_settings(runs: Sequence[RunReader]) -> list[str]:
     """Paths of the settings that not all of these runs have, or have changed, in the same way.
 
     Learners differ by their own settings, and so do two presets of one: those count only if a run
@@ -84,15 +84,15 @@ def unlike(runs: Sequence[RunReader]) -> list[str]:
     every = []
     for run in runs:
         preset = in_words(resolve(run.env, "mle", run.preset).model_dump(mode="json"))
-        shared = {path: words for path, words in preset.items() if matters(path, "mle")}
+        shared = {path: words for path, words in preset.items() if affects_results(path, "mle")}
         every.append((shared, changed(run)))
     paths = sorted({path for one in every for part in one for path in part})
     return [p for p in paths if len({(of.get(p), new.get(p)) for of, new in every}) > 1]
 
 
-def matters(path: str, learner: str) -> bool:
+def affects_results(path: str, learner: str) -> bool:
     """Whether a setting changes the numbers of a run of this learner."""
-    return path not in NO_MATTER and path.partition(".")[0] not in others_groups(learner)
+    return path not in NEUTRAL_SETTINGS and path.partition(".")[0] not in others_groups(learner)
 
 
 USUAL = "all but the seed"
@@ -137,9 +137,9 @@ def kinds_of(runs: Sequence[RunReader], by: str = USUAL) -> dict[str, Kind]:
         return {run.run_id: Kind(learner=run.learner) for run in runs}
     if by == "preset":
         return {run.run_id: Kind(preset=run.preset) for run in runs}
-    apart, found = variants(runs), {}
+    variant_of, found = variants(runs), {}
     for run in runs:
-        found[run.run_id] = Kind(run.learner, run.preset, apart[run.run_id])
+        found[run.run_id] = Kind(run.learner, run.preset, variant_of[run.run_id])
         words = run.settings.get(by, NONE)
         if words != NONE and by.partition(".")[0] not in others_groups(run.learner):
             found[run.run_id] = Kind(variant=f"{by} {words}")
@@ -155,7 +155,7 @@ def number(kind: Kind, by: str) -> float | None:
     return value if kind.variant.startswith(f"{by} ") and math.isfinite(value) else None
 
 
-def natural(words: str) -> list[tuple[float, str]]:
+def natural_sort_key(text: str) -> list[tuple[float, str]]:
     """A sort key in which 64 comes before 128."""
-    parts = enumerate(_NUMBER.split(words))
+    parts = enumerate(_NUMBER.split(text))
     return [(float(part), "") if i % 2 else (-1.0, part) for i, part in parts]

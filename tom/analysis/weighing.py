@@ -43,7 +43,7 @@ from tom.training import presets
 from tom.training.resume import recorded_config
 
 RANDOM = "random"
-ASKED = 1000
+CARD_ROWS = 1000
 """observations of the data that a policy is asked about, for its card"""
 PolicyOfInterest = StoredPolicy | UniformPolicy | ForeignPolicy
 POLICIES = (
@@ -77,20 +77,20 @@ class Weighed:
     """the other terms of each weight (`tom.learners.terms`), if it comes from a dual Q"""
 
 
-def load_policy(name: str, store: Store, known: Task, step: int | None = None) -> PolicyOfInterest:
+def load_policy(name: str, store: Store, task: Task, step: int | None = None) -> PolicyOfInterest:
     """The policy `name`, which is one of POLICIES. Raises UserError.
 
     `step` selects the policy that a run had at the model fit of that env step.
     """
     if name == RANDOM:
-        return UniformPolicy(known.obs_dim, known.action_dim)
+        return UniformPolicy(task.obs_dim, task.action_dim)
     run = None if is_foreign(name) else find_run(name, store)
     if run is None and step is not None:
         raise UserError(
             f"--step {step} is a step of a run, and policy {name} is not one: name a run"
         )
     if is_foreign(name):
-        return foreign_policy(name, known.obs_dim, action_bounds(known), known.own_obs)
+        return foreign_policy(name, task.obs_dim, action_bounds(task), task.own_obs)
     path = Path(name)
     if run is not None:
         if not run.has_policy(step):
@@ -101,14 +101,14 @@ def load_policy(name: str, store: Store, known: Task, step: int | None = None) -
         path = run.path / (NAME if step is None else layout.policy(step))
     policy = read_policy(path)
     dims = policy.obs_dim, policy.action_dim
-    if dims != (known.obs_dim, known.action_dim):
+    if dims != (task.obs_dim, task.action_dim):
         raise UserError(
-            f"policy {name} maps {dims[0]} observations to {dims[1]} actions, {known.name} has "
-            f"{known.obs_dim} and {known.action_dim}: name a policy of that task"
+            f"policy {name} maps {dims[0]} observations to {dims[1]} actions, {task.name} has "
+            f"{task.obs_dim} and {task.action_dim}: name a policy of that task"
         )
-    if policy.env != known.name:  # dimensions alone do not tell Walker2d from HalfCheetah
+    if policy.env != task.name:  # dimensions alone do not tell Walker2d from HalfCheetah
         raise UserError(
-            f"policy {name} is of {policy.env}, not of {known.name}: name a policy of {known.name}"
+            f"policy {name} is of {policy.env}, not of {task.name}: name a policy of {task.name}"
         )
     return policy
 
@@ -133,7 +133,7 @@ def weigh(
     rows, scaling = data.transitions, step_scaling(data.transitions)
     for seed in seeds:
         made, fresh = (
-            made_anew(known, policy, footprint_rows, seed, use, stepped)
+            collect_footprint(known, policy, footprint_rows, seed, use, stepped)
             for use in ("footprint", "fresh episodes")
         )
         ours, judges = (episodes.transitions.torch() for episodes in (made, fresh))
@@ -141,7 +141,7 @@ def weigh(
             own = config.but(learner=name, seed=seed)
             weighting = fit_weights(data, policy, ours, PAST_WARM_UP, own)
             event, generator = weighting.event(0), Streams(seed).torch("exam")
-            counted = weighting.counted(of_model(own))  # as in the exam of a training's fit
+            counted = weighting.counted(model_config(own))  # as in the exam of a training's fit
             yield Weighed(
                 learner=name,
                 seed=seed,
@@ -155,8 +155,8 @@ def weigh(
             )
 
 
-def made_anew(
-    known: Task,
+def collect_footprint(
+    task: Task,
     policy: PolicyOfInterest,
     rows: int,
     seed: int,
@@ -166,7 +166,7 @@ def made_anew(
     """Transitions of the policy in the real environment, reproducible for each seed and `use`."""
     streams = Streams(seed)
     start, draws = streams.integer(f"{use} env"), streams.torch(use)
-    return footprint(known, policy, rows, start, draws, stepped)
+    return footprint(task, policy, rows, start, draws, stepped)
 
 
 def fit_weights(
@@ -183,7 +183,7 @@ def fit_weights(
 
     def model_errors() -> Tensor:
         """Of a model fitted to the rows without weights, in place of a training's last; (N,)."""
-        model = fit_model(rows, uniform(rows, ready=True), of_model(config), config.seed)
+        model = fit_model(rows, uniform(rows, ready=True), model_config(config), config.seed)
         return errors_of_rows(model, rows)
 
     return learner.weigh(
@@ -202,7 +202,7 @@ def fit_weights(
     )
 
 
-def of_model(config: RunConfig) -> ModelConfig:
+def model_config(config: RunConfig) -> ModelConfig:
     """The model's settings, if there are any."""
     return config.model if isinstance(config, OnlineConfig) else ModelConfig()
 
@@ -264,36 +264,36 @@ def plan_weighing(
     """
     if footprint < 1:
         raise UserError(f"a footprint of {footprint} steps is impossible: it takes at least 1")
-    rows = _data(data, policy, store, env, step)
+    rows = _load_data(data, policy, store, env, step)
     known = task(rows.env)
     preset = preset or (EXACT if step is None else OWN)
-    usual = _preset(preset, data, store, rows.env)
+    usual = _preset_config(preset, data, store, rows.env)
     config = usual.but(**settings)
     before, now = (in_words(one.model_dump(include=setting_groups())) for one in (usual, config))
     for seed in seeds:
         config.but(seed=seed)
-    by = load_policy(policy, store, known, step)
+    loaded = load_policy(policy, store, known, step)
     if collected_by:
         rows = with_collectors(rows, [load_policy(name, store, known) for name in collected_by])
     check_known("learner", learners, LEARNERS)
     for learner in learners:
-        if follows_value(learner) and by.value_gradient is None:
+        if follows_value(learner) and loaded.value_gradient is None:
             raise UserError(
                 f"learner {learner} follows a value function, and this policy comes without one: "
                 f"leave {learner} out, or name the policy of a newer run"
             )
         if follows_behaviour(learner):
-            require_behaviour(rows.policy_version, rows.behaviour, by)
-    asked = rows.transitions.obs[:: max(len(rows) // ASKED, 1)][:ASKED]
-    facts = by.facts(asked) if isinstance(by, ForeignPolicy) else None
+            require_behaviour(rows.policy_version, rows.behaviour, loaded)
+    asked = rows.transitions.obs[:: max(len(rows) // CARD_ROWS, 1)][:CARD_ROWS]
+    facts = loaded.facts(asked) if isinstance(loaded, ForeignPolicy) else None
     return WeighingPlan(
         data=replace(
             rows,
             card=replace(rows.card, policy=facts),
-            policy_distance=distances(by.mean, rows.transitions),
+            policy_distance=distances(loaded.mean, rows.transitions),
         ),
         known=known,
-        policy=by,
+        policy=loaded,
         config=config,
         preset=preset,
         learners=tuple(dict.fromkeys(learners)),
@@ -325,7 +325,9 @@ def with_collectors(data: OrderedData, policies: Sequence[PolicyOfInterest]) -> 
     return replace(data, behaviour=behaviour)
 
 
-def _data(name: str, policy: str, store: Store, env: str | None, step: int | None) -> OrderedData:
+def _load_data(
+    name: str, policy: str, store: Store, env: str | None, step: int | None
+) -> OrderedData:
     """The data, of the task `env`, else of the policy's."""
     if env is None and policy != RANDOM and not is_foreign(policy):
         run = find_run(policy, store)
@@ -336,7 +338,7 @@ def _data(name: str, policy: str, store: Store, env: str | None, step: int | Non
     return data
 
 
-def _preset(preset: str, data: str, store: Store, env: str) -> RunConfig:
+def _preset_config(preset: str, data: str, store: Store, env: str) -> RunConfig:
     """The settings of every learner that `preset` stands for."""
     check_known("preset", [preset], PRESETS)
     if preset == EXACT:
@@ -346,11 +348,11 @@ def _preset(preset: str, data: str, store: Store, env: str) -> RunConfig:
             raise UserError(
                 f"{data} is not a run, so it has no settings: --preset exact, paper or mended"
             )
-        of = recorded_config(run, "name --preset exact, paper or mended")
+        source = recorded_config(run, "name --preset exact, paper or mended")
     else:
-        of = presets.resolve(env, "tom", preset)
-    own = {group: getattr(of, group) for group in setting_groups() if hasattr(of, group)}
-    return settings_type()(env=of.env, learner="tom", **own)
+        source = presets.resolve(env, "tom", preset)
+    own = {group: getattr(source, group) for group in setting_groups() if hasattr(source, group)}
+    return settings_type()(env=source.env, learner="tom", **own)
 
 
 def settings_type() -> type[RunConfig]:

@@ -64,7 +64,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["studio"]:
-        hand_over("app", arguments[1:])
+        exec_module("app", arguments[1:])
     try:
         plugins.load(plugins.given(arguments))
         args = build_parser(arguments).parse_args(arguments)
@@ -119,7 +119,7 @@ def build_parser(arguments: Sequence[str] = ()) -> Parser:
     return parser
 
 
-def hand_over(module: str, arguments: Sequence[str]) -> NoReturn:
+def exec_module(module: str, arguments: Sequence[str]) -> NoReturn:
     """Replace this process by `python -m MODULE`: the backend never imports the studio."""
     sys.stdout.flush()
     os.execv(sys.executable, [sys.executable, "-m", module, *arguments])

@@ -12,8 +12,8 @@ from typing import Any
 
 import torch
 
-from tom.cli import hand_over
-from tom.cli.output import put_out, show_rows
+from tom.cli import exec_module
+from tom.cli.output import print_result, show_rows
 from tom.cli.parser import add_json
 from tom.cli.runs import list_runs
 from tom.machine.matmul import choose_matmul
@@ -54,9 +54,9 @@ def run(args: argparse.Namespace) -> int:
     if args.what == "studio":
         runs = [] if args.runs is None else ["--runs", str(args.runs)]
         more = [*(["--json"] * args.json), *(["--map"] * args.map)]
-        hand_over("app.servers.bench", [*runs, *more])
+        exec_module("app.servers.bench", [*runs, *more])
     tables = MEASUREMENTS[args.what](args)
-    return put_out(args, tables, lambda: [show_rows(*table) for table in tables.items()])
+    return print_result(args, tables, lambda: [show_rows(*table) for table in tables.items()])
 
 
 def _parts(args: argparse.Namespace) -> Tables:

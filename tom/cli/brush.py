@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from tom.analysis import brush
 from tom.analysis.brush import FACTORS, SMALL, BrushedFit
-from tom.analysis.ordered_data import OrderedData, find_run, of_run
-from tom.analysis.weighing import load_policy, made_anew
-from tom.cli.output import put_out
+from tom.analysis.ordered_data import OrderedData, find_run, load_run
+from tom.analysis.weighing import collect_footprint, load_policy
+from tom.cli.output import print_result
 from tom.cli.parser import add_json, add_store
 from tom.data.unpack import DAMAGE
 from tom.envs import scene, task
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     reader = find_run(args.run_name, store)
     if reader is None:
         raise UserError(f"no run '{args.run_name}' in {store.path}/: name one of `tom runs list`")
-    data = of_run(reader, args.step)
+    data = load_run(reader, args.step)
     region = _region(args.rows, data, args.step)
     weights = _weights(args.weighing, reader, store, args.step)
     if len(weights) != len(data):
@@ -84,14 +84,14 @@ def run(args: argparse.Namespace) -> int:
     if args.step in reader.policy_steps():
         known = task(reader.env)
         policy = load_policy(str(reader.path), store, known, args.step)
-        episodes = made_anew(known, policy, FRESH, min(args.seeds), "fresh episodes")
+        episodes = collect_footprint(known, policy, FRESH, min(args.seeds), "fresh episodes")
         fresh = episodes.transitions.torch()
     work = data.transitions, torch.tensor(weights), torch.from_numpy(region), fresh
     name, seeds = f"{reader.run_id}-brushed", list(dict.fromkeys(args.seeds))
     weighing_files.check_free(args.out or store.new_weighing(name))
     begun, models = perf_counter(), list[BrushedFit]()
-    total = len(dict.fromkeys((brush.AS_IT_IS, *args.factors))) * len(seeds)
-    for one in brush.fits(*work, config, args.factors, seeds):
+    total = len(dict.fromkeys((brush.UNCHANGED, *args.factors))) * len(seeds)
+    for one in brush.fit_brushed(*work, config, args.factors, seeds):
         models.append(one)
         text = f"model {len(models)} of {total}: region x {one.factor:g}, seed {one.seed}"
         print(text, file=sys.stderr, flush=True)
@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
     ghosts = _ghosts(reader, models, args.step)
     out = args.out or store.new_weighing(name)
     weighing_files.write_brush(out, region, models, report, ghosts)
-    return put_out(args, {"out": str(out)}, [str(out)])
+    return print_result(args, {"out": str(out)}, [str(out)])
 
 
 def _region(path: Path, data: OrderedData, step: int) -> NDArray[np.bool_]:

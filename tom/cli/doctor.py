@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 import torch
 from packaging.requirements import Requirement
 
-from tom.cli.output import put_out, show
+from tom.cli.output import print_result, show
 from tom.cli.parser import add_json, add_store
 from tom.errors import reason
 from tom.machine import memory
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     bad = sum(found["state"] == "bad" for found in findings)
     rows = [list(found.values()) for found in findings]
     title = f"{bad} things to fix" if bad else "ready"
-    put_out(args, findings, lambda: show(title, ("check", "is", "found", "fix"), rows))
+    print_result(args, findings, lambda: show(title, ("check", "is", "found", "fix"), rows))
     return 1 if bad else 0
 
 

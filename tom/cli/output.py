@@ -54,7 +54,9 @@ def show_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
     show(title, list(rows[0]), [list(map(readable.cell, row.values())) for row in rows])
 
 
-def put_out(args: Namespace, content: object, shown: Iterable[str] | Callable[[], object]) -> int:
+def print_result(
+    args: Namespace, content: object, shown: Iterable[str] | Callable[[], object]
+) -> int:
     """Print `content` as JSON if that is asked for, else the lines `shown`, or by it; returns 0."""
     if args.json:
         print(json.dumps(plain(content), allow_nan=False))

@@ -113,12 +113,12 @@ def import_named(args: argparse.Namespace) -> None:
     env, rule = getattr(args, "env", None), getattr(args, DEST + TERMINATION, None)
     if env is None and rule is None:
         return
-    from tom.envs import bring  # a simulator takes a second to import
-    from tom.envs.termination import bring_rule
+    from tom.envs import import_task  # a simulator takes a second to import
+    from tom.envs.termination import import_rule
 
     for name in env if isinstance(env, list) else [env]:
-        bring(name)
-    bring_rule(rule)
+        import_task(name)
+    import_rule(rule)
 
 
 def add_config_options(

@@ -3,7 +3,7 @@
 import argparse
 
 from tom.cli.parser import add_config_options, add_run_options, leaf_fields, overrides
-from tom.cli.train import OWN_OPTIONS, begin
+from tom.cli.train import OWN_OPTIONS, start_training
 from tom.config import SacRecordingConfig
 from tom.envs import ANY, ENVS, task
 
@@ -34,4 +34,4 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 def run(args: argparse.Namespace) -> int:
     env = task(args.env).name
-    return begin(SacRecordingConfig(env=env).but(**overrides(args)), args)
+    return start_training(SacRecordingConfig(env=env).but(**overrides(args)), args)

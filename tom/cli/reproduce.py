@@ -16,7 +16,7 @@ from typing import Any
 
 from matplotlib import rc_context
 
-from tom.cli.output import put_out, show_rows
+from tom.cli.output import print_result, show_rows
 from tom.cli.parser import add_json, folder
 from tom.errors import DivergedError
 from tom.machine.processes import on_stopping
@@ -125,5 +125,5 @@ def _run(study: ModuleType, args: Namespace) -> int:
                 print(f"{title}: in the report")
         print("\n".join([*verdict, str(args.out)]))
 
-    put_out(args, content | {"verdict": verdict, "out": str(args.out)}, shown)
+    print_result(args, content | {"verdict": verdict, "out": str(args.out)}, shown)
     return 1 if failed else 0

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tom import readable
-from tom.cli.output import print_problems, put_out, show, summary
+from tom.cli.output import print_problems, print_result, show, summary
 from tom.cli.parser import add_json, add_store, folder
 from tom.errors import UserError
 from tom.harmless import terminal
@@ -109,7 +109,7 @@ def list_runs(args: argparse.Namespace) -> int:
     }
     filled = {name: cells for name, cells in columns.items() if any(cells) or name == "run"}
     title, cells = f"{len(rows)} runs in {args.store}", zip(*filled.values(), strict=True)
-    return put_out(args, rows, lambda: show(title, list(filled), cells))
+    return print_result(args, rows, lambda: show(title, list(filled), cells))
 
 
 def _row(run: RunReader) -> dict[str, Any]:
@@ -132,7 +132,7 @@ def show_run(args: argparse.Namespace) -> int:
 
     row, card = {**_row(run), "note": run.labels.note}, card_of(run)
     if args.json:
-        return put_out(args, {**row, "description": run.config, "card": card}, ())
+        return print_result(args, {**row, "description": run.config, "card": card}, ())
     row["state"] = run.shown
     del row["small_copy"]  # the state says so
     described = {**row, "reason": run.status.reason, **flat(run.config)}
@@ -169,7 +169,7 @@ def diff(args: argparse.Namespace) -> int:
     values = {name: [first.get(name), second.get(name)] for name in names}
     rows = [(name, *map(_text, both)) for name, both in values.items()]
     title, columns = f"{len(rows)} differences", ("what", args.first, args.second)
-    return put_out(args, values, lambda: show(title, columns, rows))
+    return print_result(args, values, lambda: show(title, columns, rows))
 
 
 def _text(value: Any) -> str:
@@ -200,7 +200,7 @@ def label(args: argparse.Namespace) -> int:
     labels = manage.label(Store(args.store), args.run_id, **given)
     tags = f" [{', '.join(labels.tags)}]" if labels.tags else ""
     first = f"{args.run_id}: {labels.name or 'no name'}{tags}"
-    return put_out(args, asdict(labels), [first, *labels.note.splitlines()])
+    return print_result(args, asdict(labels), [first, *labels.note.splitlines()])
 
 
 @verb("trash", "move runs into the store's .trash/, or list what is there", ANY)
@@ -209,15 +209,15 @@ def trash(args: argparse.Namespace) -> int:
     store.ensure_there()
     if not args.run_ids:
         trashed = manage.trashed(store)
-        return put_out(args, trashed, trashed or ["nothing"])
+        return print_result(args, trashed, trashed or ["nothing"])
     places = [str(place) for place in manage.trash(store, *args.run_ids)]
-    return put_out(args, places, places)
+    return print_result(args, places, places)
 
 
 @verb("restore", "move runs back out of the trash", SOME)
 def restore(args: argparse.Namespace) -> int:
     places = [str(place) for place in manage.restore(Store(args.store), *args.run_ids)]
-    return put_out(args, places, places)
+    return print_result(args, places, places)
 
 
 # Files
@@ -232,7 +232,7 @@ def verify(args: argparse.Namespace) -> int:
     bad = sum(map(bool, problems.values()))
     lines = [f"{run_id}: {text}" for run_id, texts in problems.items() for text in texts]
     lines.append(f"{len(problems)} runs read, {bad} with problems")
-    put_out(args, {"runs": problems, "store": store.problems}, lines)
+    print_result(args, {"runs": problems, "store": store.problems}, lines)
     return 1 if bad or store.problems else 0
 
 
@@ -245,7 +245,7 @@ def repair(args: argparse.Namespace) -> int:
     lines = [
         f"{name}: {line}" for name, done in repairs.items() for line in done or ["nothing to mend"]
     ]
-    return put_out(args, repairs, lines)
+    return print_result(args, repairs, lines)
 
 
 @verb(
@@ -296,7 +296,7 @@ def export_runs(args: argparse.Namespace) -> int:
     else:
         made = [export(run, args.format or "csv", args.out) for run in runs]
     paths = list(map(str, made))
-    return put_out(args, paths, paths)
+    return print_result(args, paths, paths)
 
 
 @verb("index", "write the store's README.md: its small copies, and how each was made")
@@ -306,7 +306,7 @@ def index(args: argparse.Namespace) -> int:
     store = Store(args.store)
     path = str(page.write(store))
     print_problems(store)
-    return put_out(args, path, [path])
+    return print_result(args, path, [path])
 
 
 @verb(
@@ -322,7 +322,9 @@ def prune(args: argparse.Namespace) -> int:
     freed = {name: count for name, count in counts.items() if count}
     would = "would free" if args.dry_run else "freed"
     lines = [f"{name}: {would} {readable.size(count)}" for name, count in freed.items()]
-    return put_out(args, freed, [*lines, f"{would} {readable.size(sum(freed.values()))} in all"])
+    return print_result(
+        args, freed, [*lines, f"{would} {readable.size(sum(freed.values()))} in all"]
+    )
 
 
 @verb(
@@ -342,7 +344,7 @@ def import_runs(args: argparse.Namespace) -> int:
     from tom.own_loop.imported import import_metrics  # tasks take a second to import
 
     made = import_metrics(args.path, args.env, args.store, args.name, args.returned)
-    return put_out(args, made, made)
+    return print_result(args, made, made)
 
 
 @verb(
@@ -367,4 +369,4 @@ def fetch(args: argparse.Namespace) -> int:
                 print(terminal(f"{run_id} {done[run_id]}"), flush=True)
     except OSError as error:
         raise UserError(f"{args.url}: {error}") from error
-    return put_out(args, done, ())
+    return print_result(args, done, ())

@@ -20,8 +20,8 @@ from tom import readable
 from tom.cli.output import Display, print_problems, show_rows, summary
 from tom.cli.parser import add_accept_versions, add_json, add_training_options, overrides
 from tom.config import merged
-from tom.envs import ANY, ENV_NAMES, bring
-from tom.envs.termination import bring_rule
+from tom.envs import ANY, ENV_NAMES, import_task
+from tom.envs.termination import import_rule
 from tom.errors import GoneError, UserError
 from tom.harmless import terminal
 from tom.learners import LEARNERS
@@ -129,9 +129,9 @@ def _planned(args: argparse.Namespace) -> list[Trial]:
         raise UserError(f"a sweep needs {' and '.join(missing)} (or --file PLAN.yaml)")
     plan = checked(content)
     for name in plan.env:
-        bring(name)
+        import_task(name)
     model = plan.settings.get("model", {})
-    bring_rule(model.get("termination") if isinstance(model, dict) else None)
+    import_rule(model.get("termination") if isinstance(model, dict) else None)
     planned = trials(plan)
     if args.address is not None and args.engine != "ray":
         raise UserError("--address is the address of a Ray cluster: add --engine ray")
@@ -161,7 +161,7 @@ def drive(args: argparse.Namespace, driver: Driver) -> int:
                 time.sleep(POLL_S)
         except GoneError as error:
             display.print(str(error))
-            driver.let_go()
+            driver.detach()
         except KeyboardInterrupt:
             display.print("stopping: every training writes a checkpoint (Ctrl-C again: at once)")
         finally:

@@ -7,7 +7,7 @@ from contextlib import closing, contextmanager
 from functools import partial
 from typing import Any, TextIO
 
-from tom.cli.output import ProgressReport, put_out, summary
+from tom.cli.output import ProgressReport, print_result, summary
 from tom.cli.parser import (
     add_run_options,
     add_training_options,
@@ -26,7 +26,7 @@ from tom.errors import (
 )
 from tom.harmless import terminal
 from tom.learners import LEARNERS
-from tom.machine.memory import REFUSING, out_of_memory, ran_out
+from tom.machine.memory import MEMORY_ERRORS, is_out_of_memory, out_of_memory
 from tom.machine.processes import on_stopping
 from tom.readable import score
 from tom.record import RunReader, Store, checkpoint, lock, manage
@@ -35,7 +35,7 @@ from tom.record.task_record import card_of
 from tom.record.versions import command
 from tom.training.plan import is_done, steps_beyond
 from tom.training.presets import resolve
-from tom.training.resume import resumable_config, resume, unfinished
+from tom.training.resume import find_unfinished, resumable_config, resume
 from tom.training.run import AnyConfig, RecordingOptions, Stop, train
 
 OWN_OPTIONS = ("env", "learner", "preset")
@@ -72,10 +72,10 @@ def run(args: argparse.Namespace) -> int:
         return resume_run(args, args.resume, _new_steps(args, settings))
     if not (args.env and args.learner):
         raise UserError("--resume auto needs the --env and --learner of the run")
-    return begin(resolve(args.env, args.learner, args.preset, settings), args)
+    return start_training(resolve(args.env, args.learner, args.preset, settings), args)
 
 
-def begin(config: AnyConfig, args: argparse.Namespace) -> int:
+def start_training(config: AnyConfig, args: argparse.Namespace) -> int:
     """Train `config`; with `--resume auto`, resume the run of an earlier same command.
 
     If that command named its run, it is about this run alone, and may be given as often as one
@@ -86,7 +86,7 @@ def begin(config: AnyConfig, args: argparse.Namespace) -> int:
         return record(config, args)
     store = Store(args.store)
     if args.run_id is None:
-        begun = unfinished(store, config)
+        begun = find_unfinished(store, config)
         return resume_run(args, begun, config.steps) if begun else record(config, args)
     run = RunReader(store.resolve(args.run_id))
     there, beyond = run.path.is_dir(), steps_beyond(config, run)
@@ -96,7 +96,7 @@ def begin(config: AnyConfig, args: argparse.Namespace) -> int:
         _print_summary(run, args)
         return 0
     try:
-        if unfinished(store, config, run_id=run.run_id):
+        if find_unfinished(store, config, run_id=run.run_id):
             return resume_run(args, run.run_id, config.steps + max(beyond or 0, 0))
     except StartAgainError as error:
         print(error, file=sys.stderr)
@@ -109,7 +109,7 @@ def begin(config: AnyConfig, args: argparse.Namespace) -> int:
 
 def record(config: AnyConfig, args: argparse.Namespace) -> int:
     """Train `config` with the options of `add_run_options`; returns the exit code."""
-    return _watched(args, config, partial(train, config, Store(args.store), args.run_id))
+    return _run_with_progress(args, config, partial(train, config, Store(args.store), args.run_id))
 
 
 def resume_run(args: argparse.Namespace, run_id: str, steps: str | int | None) -> int:
@@ -120,11 +120,11 @@ def resume_run(args: argparse.Namespace, run_id: str, steps: str | int | None) -
         config = config.but(steps=steps)
     last = None if steps is None else config.steps
     going_on = partial(resume, store, run_id, last, accept_versions=args.accept_versions)
-    return _watched(args, config, going_on)
+    return _run_with_progress(args, config, going_on)
 
 
 @contextmanager
-def followed(
+def with_progress(
     config: AnyConfig, stream: TextIO, *, rerun: bool
 ) -> Iterator[tuple[str, RecordingOptions]]:
     """Progress of a training inside the block, which a signal stops cleanly.
@@ -137,11 +137,11 @@ def followed(
         yield label, {"rerun": rerun, "watchers": watchers, "command": command(), "stop": stop}
 
 
-def _watched(
+def _run_with_progress(
     args: argparse.Namespace, config: AnyConfig, training: Callable[..., RunReader]
 ) -> int:
     stream = sys.stderr if args.json else sys.stdout
-    with followed(config, stream, rerun=not args.no_rerun) as (label, options):
+    with with_progress(config, stream, rerun=not args.no_rerun) as (label, options):
         try:
             done = training(**options)
         except KeyboardInterrupt:
@@ -151,8 +151,8 @@ def _watched(
             print(f"{label}: failed: {error}", file=sys.stderr)
             # An OSError is of its disk or of another writer: another attempt may succeed.
             return TRY_LATER if isinstance(error, OSError) else FAILED
-        except REFUSING as error:
-            if not ran_out(error):
+        except MEMORY_ERRORS as error:
+            if not is_out_of_memory(error):
                 raise
             print(f"{label}: failed: {out_of_memory(error)}", file=sys.stderr)
             return FAILED
@@ -196,6 +196,6 @@ def _print_summary(run: RunReader, args: argparse.Namespace) -> None:
         f"{score(row['last_return'])}, best {score(row['best_return'])}: {row['path']}",
         *([sentence(card)] if card else []),
     ]
-    put_out(args, row, shown)
+    print_result(args, row, shown)
     if run.status.state == "failed" and not args.json:
         print(f"failed: {terminal(run.status.reason)}", file=sys.stderr)

@@ -10,7 +10,7 @@ import torch
 
 from tom import readable
 from tom.analysis.weighing import POLICIES, Weighed, plan_weighing, setting_groups, settings_type
-from tom.cli.output import ProgressReport, put_out, show
+from tom.cli.output import ProgressReport, print_result, show
 from tom.cli.parser import (
     add_config_options,
     add_json,
@@ -113,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
     weighing_files.write(out, plan.data, weighed, args.bins, report)
     for notice in weighing_files.notices(report):
         print(notice, file=sys.stderr)
-    return put_out(args, {**report, "out": str(out)}, lambda: _print(report, out))
+    return print_result(args, {**report, "out": str(out)}, lambda: _print(report, out))
 
 
 def _print(report: dict[str, Any], out: Path) -> None:

@@ -131,7 +131,8 @@ class Card:
     def notices(self) -> tuple[Notice, ...]:
         """What contradicts itself, each once."""
         return (
-            *_of_values(self), *_of_flags(self), *_of_task(self), *_of_policy(self), *self.others,
+            *_value_notices(self), *_flag_notices(self), *_task_notices(self),
+            *_policy_notices(self), *self.others,
         )  # fmt: skip
 
     def described(self) -> dict[str, Any]:
@@ -147,7 +148,7 @@ class Card:
         }
 
 
-def take(rows: Transitions, ordered: bool = True) -> Card:
+def make_card(rows: Transitions, ordered: bool = True) -> Card:
     """The card of N > 0 rows. Without `ordered` their next_obs were made of the rows' order."""
     t = rows.numpy()
     obs, next_obs = np.asarray(t.obs), np.asarray(t.next_obs)
@@ -210,7 +211,7 @@ def successive(obs: NDArray, next_obs: NDArray, by: int = 1) -> NDArray[np.bool_
 # What may be wrong
 
 
-def _of_values(card: Card) -> Iterator[Notice]:
+def _value_notices(card: Card) -> Iterator[Notice]:
     if card.rows < FEW_ROWS:
         yield (
             "few-rows",
@@ -226,14 +227,14 @@ def _of_values(card: Card) -> Iterator[Notice]:
         mean, std = float(card.obs.mean[lost][0]), float(card.obs.std[lost][0])
         yield (
             "precision",
-            f"single precision cannot tell the values of observation {dims(lost)} apart (a mean "
-            f"of {short(mean)}, a standard deviation of {short(std)}): an offset, or bounds that "
-            "are far too wide; subtract it, or give the observation space bounds that the values "
-            "fill",
+            "single precision cannot tell the values of observation "
+            f"{dimension_list(lost)} apart (a mean of {short(mean)}, a standard deviation of "
+            f"{short(std)}): an offset, or bounds that are far too wide; subtract it, or give the "
+            "observation space bounds that the values fill",
         )
 
 
-def _of_flags(card: Card) -> Iterator[Notice]:
+def _flag_notices(card: Card) -> Iterator[Notice]:
     goes_on = card.joined > 0.5 * card.rows or card.lost > 0
     inverted = card.rows > 1 and card.terminations > 0.5 * card.rows and goes_on
     if inverted:
@@ -242,7 +243,7 @@ def _of_flags(card: Card) -> Iterator[Notice]:
             f"{100 * card.terminations / card.rows:.0f} % of the rows are terminated, and yet "
             "they go on: is 'terminated' a mask, 1 - done? Write 1 where the task ended",
         )
-    elif order := _order(card):
+    elif order := _order_fault(card):
         yield "order", order
     if card.both_flags > max(1, 0.1 * card.truncations) and not inverted:
         yield (
@@ -268,7 +269,7 @@ def _of_flags(card: Card) -> Iterator[Notice]:
         )
 
 
-def _order(card: Card) -> str:
+def _order_fault(card: Card) -> str:
     """Where rows are not in the order of collection, with the likely causes; empty if they are."""
     facts, causes = [], []
     if card.breaks:
@@ -287,7 +288,7 @@ def _order(card: Card) -> str:
     return f"{' and '.join(facts)}: {'; '.join(causes)}" if facts else ""
 
 
-def _of_task(card: Card) -> Iterator[Notice]:
+def _task_notices(card: Card) -> Iterator[Notice]:
     missed, invented = card.missed or 0, card.invented or 0
     if missed > 0.1 * card.terminations or invented > 1 + 1e-3 * card.rows:
         yield (
@@ -302,13 +303,13 @@ def _of_task(card: Card) -> Iterator[Notice]:
     if scaled.any():
         yield (
             "action-range",
-            f"the recorded actions of {dims(scaled)} fill [-1, 1] and no more, where {card.task} "
-            f"takes {_bounds(card)}: actions of a library that scales them; write them in the "
-            "task's own units",
+            f"the recorded actions of {dimension_list(scaled)} fill [-1, 1] and no more, where "
+            f"{card.task} takes {_bounds(card)}: actions of a library that scales them; write them "
+            "in the task's own units",
         )
 
 
-def _of_policy(card: Card) -> Iterator[Notice]:
+def _policy_notices(card: Card) -> Iterator[Notice]:
     if card.policy is None:
         return
     policy, own = card.policy, card.policy.own
@@ -352,7 +353,7 @@ def _bounds(card: Card) -> str:
     return f"{short(float(low.min()))} to {short(float(high.max()))}"
 
 
-def dims(which: NDArray[np.bool_]) -> str:
+def dimension_list(which: NDArray[np.bool_]) -> str:
     """Some dimensions by their numbers, eight at most."""
     numbers = np.flatnonzero(which).tolist()
     shown = ", ".join(map(str, numbers[:8])) + (", ..." if len(numbers) > 8 else "")

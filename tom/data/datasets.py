@@ -18,11 +18,11 @@ import pyarrow as pa
 import pyarrow.dataset
 from numpy.typing import NDArray
 
-from tom.data.card import UNORDERED, Card, successive, take
+from tom.data.card import UNORDERED, Card, make_card, successive
 from tom.data.transitions import BEHAVIOUR, Transitions
 from tom.data.unpack import DAMAGE, read_columns
 from tom.errors import UserError, reason
-from tom.machine.memory import ran_out
+from tom.machine.memory import is_out_of_memory
 
 FORMATS = "an .npz or Parquet file of transitions, a D4RL file (.hdf5) or a Minari folder"
 AXES = {"obs": 2, "action": 2, "reward": 1, "next_obs": 2, "terminated": 1, "truncated": 1}
@@ -76,7 +76,7 @@ def read_dataset(path: str | Path) -> Recording:
     try:
         return _assembled(path, _columns_of(path))
     except DAMAGE as error:
-        if ran_out(error):
+        if is_out_of_memory(error):
             raise
         raise UserError(
             f"{path} cannot be read ({reason(error)}): write it again, or download it again"
@@ -322,7 +322,7 @@ def _assembled(path: Path, columns: Columns) -> Recording:
         raw = Transitions(obs, action, reward, next_obs, terminated, cut)
         resolved = cut & ~terminated
         resolved[-1] = not terminated[-1]
-        return Recording(replace(raw, truncated=resolved), take(raw), version, behaviour)
+        return Recording(replace(raw, truncated=resolved), make_card(raw), version, behaviour)
     ends = terminated | cut
     ends[-1] = True
     kept = np.flatnonzero(~ends)
@@ -333,7 +333,7 @@ def _assembled(path: Path, columns: Columns) -> Recording:
         )
     never = np.zeros(len(kept), bool)
     rows = Transitions(obs[kept], action[kept], reward[kept], obs[kept + 1], never, ends[kept + 1])
-    card = replace(take(rows, ordered=False), lost=int(terminated.sum()))
+    card = replace(make_card(rows, ordered=False), lost=int(terminated.sum()))
     version = None if version is None else version[kept]
     return Recording(rows, card, version, None if behaviour is None else behaviour[kept])
 

@@ -20,12 +20,13 @@ ANY = "or any Gymnasium task: gymnasium:Swimmer-v5, my_package:MyTask-v0"
 
 __all__ = [
     "ANY", "ENVS", "ENV_NAMES", "OTHERS", "ROAD", "GymnasiumTask", "MujocoTask", "Task",
-    "Termination", "bring", "brought", "is_code", "is_known", "task", "task_rank", "unknown_task",
+    "Termination", "import_task", "imported_tasks", "is_code", "is_known", "task", "task_rank",
+    "unknown_task",
 ]  # fmt: skip
 
 
 def task(name: str) -> Task:
-    """The task called `name`. Imports no module of the user; that is done by `bring`.
+    """The task called `name`. Imports no module of the user; that is done by `import_task`.
 
     Raises UserError with the known names if there is none.
     """
@@ -51,7 +52,7 @@ def unknown_task(name: str, ours: Iterable[str]) -> UserError:
     return UserError(f"{unknown('environment', name, (*ours, *OTHERS))}, {ANY}")
 
 
-def bring(name: str | None) -> None:
+def import_task(name: str | None) -> None:
     """Import the module of a task that the user names, and register the task.
 
     The module is code that the user chose to run. Raises UserError if this fails.
@@ -62,7 +63,7 @@ def bring(name: str | None) -> None:
     OTHERS[name] = lambda: known
 
 
-def brought() -> list[str]:
+def imported_tasks() -> list[str]:
     """The tasks whose modules the user named to this process."""
     return [name for name in OTHERS if is_code(name)]
 

@@ -13,7 +13,7 @@ from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.wrappers import OrderEnforcing, RescaleAction, TimeLimit
 from numpy.typing import NDArray
 
-from tom.envs.user_code import running
+from tom.envs.user_code import running_user_code
 from tom.errors import OwnCodeError, StartAgainError
 
 LARGEST = float(np.finfo(np.float32).max)
@@ -79,7 +79,7 @@ class Unit(gym.Wrapper):
             self._seeds = np.random.default_rng(seed)
         self._seed = int(self._seeds.integers(2**31)) if seed is None else seed
         self._actions = []
-        with running(f"{self._step()} of the task '{self._name}'"):
+        with running_user_code(f"{self._step()} of the task '{self._name}'"):
             obs, info = self.env.reset(seed=self._seed, options=options)
             return self._seen(obs), info
 
@@ -91,7 +91,7 @@ class Unit(gym.Wrapper):
         taken = np.clip(np.asarray(action, np.float32), -1, 1)
         self._actions.append(taken.copy())
         own = self._low + 0.5 * (taken.astype(np.float64) + 1) * (self._high - self._low)
-        with running(f"{self._step()} of the task '{self._name}'"):
+        with running_user_code(f"{self._step()} of the task '{self._name}'"):
             # In the space's own type: rounded to another, a bound may lie outside of it.
             given = own.astype(self.env.action_space.dtype)
             obs, reward, terminated, truncated, info = self.env.step(given)

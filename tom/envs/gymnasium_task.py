@@ -18,13 +18,13 @@ from gymnasium.spaces import Box, Dict
 from gymnasium.wrappers import FlattenObservation, TimeLimit
 from numpy.typing import NDArray
 
-from tom.data.card import dims
+from tom.data.card import dimension_list
 from tom.envs import termination
 from tom.envs.environment import Simulator, Unit, simulated
 from tom.envs.mujoco import log_warnings
 from tom.envs.task import Task, Termination
 from tom.envs.user_code import import_named
-from tom.errors import OF_USERS, UserError, reason
+from tom.errors import USER_CODE_ERRORS, UserError, reason
 
 OWN = "gymnasium"
 """the module of Gymnasium's own tasks, which is always imported"""
@@ -72,7 +72,7 @@ class GymnasiumTask(Task):
     rewards: Floats = ()
 
     def make(self, seed: int | None = None) -> gym.Env[np.ndarray, np.ndarray]:
-        env = _made(self.gym_id, self.name)
+        env = _make_env(self.gym_id, self.name)
         if env.spec is None or env.spec.max_episode_steps is None:
             env = TimeLimit(env, self.max_episode_steps)
         action = np.array(self.action_low), np.array(self.action_high)
@@ -104,29 +104,29 @@ def describe(name: str) -> GymnasiumTask:
         os.environ.setdefault("MUJOCO_GL", "disable")
     if module != OWN:
         import_named(module, f"--env {name}")
-    return inspected(name, gym_id)
+    return inspect_task(name, gym_id)
 
 
-def inspected(name: str, gym_id: str, terminated: Termination | None = None) -> GymnasiumTask:
+def inspect_task(name: str, gym_id: str, terminated: Termination | None = None) -> GymnasiumTask:
     """The task of that Gymnasium id, made once to inspect it; `terminated` is its own rule.
 
     Raises UserError if there is no such task, or if it cannot be trained in.
     """
-    env = _made(gym_id, name)
-    known = _described(name, gym_id, env)
+    env = _make_env(gym_id, name)
+    known = _inspect_env(name, gym_id, env)
     env.close()
     if terminated is None:
         return known
-    own = termination.checked(terminated, known, f"of {name}")
+    own = termination.checked_rule(terminated, known, f"of {name}")
     return replace(known, terminated=own, knows_ends=True)
 
 
-def _made(gym_id: str, name: str) -> gym.Env:
+def _make_env(gym_id: str, name: str) -> gym.Env:
     """The environment; named arrays are concatenated in the order of their names."""
     log_warnings()
     try:
         made = gym.make(gym_id, disable_env_checker=True)
-    except OF_USERS as error:  # Gymnasium's errors as well
+    except USER_CODE_ERRORS as error:  # Gymnasium's errors as well
         advice, of_dm = "", gym_id.startswith(DM_CONTROL)
         if of_dm and isinstance(error, gym.error.NamespaceNotFound):
             advice = "; pip install 'shimmy[dm-control]' and write shimmy:dm_control/..."
@@ -146,7 +146,7 @@ def _named_arrays(env: gym.Env, gym_id: str) -> dict[str, tuple[int, ...]]:
     return arrays if flat else {}
 
 
-def _described(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
+def _inspect_env(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
     obs, action = _box(env.observation_space, name), _box(env.action_space, name)
     if not _bounded(action).all():
         wrong = int(np.flatnonzero(~_bounded(action))[0])
@@ -163,11 +163,11 @@ def _described(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
     bounded = _bounded(obs)
     simulator = simulated(env)
     root_dims = _root_dims(env, simulator, obs, action, name)
-    seen_as_they_are = root_dims if not bounded.any() else None  # joints, in their own units
+    unscaled_dims = root_dims if not bounded.any() else None  # joints, in their own units
     tries = [_short_episode(env, action, seed) for seed in (0, 0, 1)]
     repeats = all(map(np.array_equal, tries[0], tries[1]))
     offset, scale, changed = np.zeros(obs.shape), np.ones(obs.shape), np.zeros(obs.shape, bool)
-    if seen_as_they_are is None:
+    if unscaled_dims is None:
         starts = [_short_episode(env, action, seed, steps=0) for seed in range(2, 10)]
         rows = [row for seen, _ in (*tries, *starts) for row in seen]
         usable = [row for row in rows if row.shape == obs.shape and np.isfinite(row).all()]
@@ -184,8 +184,8 @@ def _described(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
         obs_names=_obs_names(len(obs.low), simulator, root_dims, _named_arrays(env, gym_id)),
         max_episode_steps=limit or TIME_LIMIT,
         nq=0 if simulator is None else int(simulator.model.nq),
-        root_dims=seen_as_they_are,
-        keeps_states=simulator is not None and seen_as_they_are is None,
+        root_dims=unscaled_dims,
+        keeps_states=simulator is not None and unscaled_dims is None,
         action_low=tuple(action.low.tolist()),
         action_high=tuple(action.high.tolist()),
         obs_offset=tuple(offset.tolist()),
@@ -204,7 +204,7 @@ def _short_episode(
     They end where the task fails: a training says why.
     """
     rng, seen, rewards = np.random.default_rng(seed), [], []
-    with suppress(*OF_USERS):
+    with suppress(*USER_CODE_ERRORS):
         seen.append(np.array(env.reset(seed=seed)[0], np.float64))
         for _ in range(steps):
             taken = rng.uniform(action.low, action.high).astype(env.action_space.dtype)
@@ -244,9 +244,9 @@ def _notices(name: str, changed: NDArray[np.bool_], repeats: bool) -> tuple[tupl
     if changed.any():
         notices.append((
             "scale",
-            f"observation {dims(changed)} of {name} changes by a small part of its bounds, or of "
-            "its distance from zero: it is scaled by what short episodes saw, not by its bounds; "
-            "give the observation space bounds that its values fill",
+            f"observation {dimension_list(changed)} of {name} changes by a small part of its "
+            "bounds, or of its distance from zero: it is scaled by what short episodes saw, not by "
+            "its bounds; give the observation space bounds that its values fill",
         ))  # fmt: skip
     if not repeats:
         notices.append((

@@ -88,14 +88,14 @@ class Model:
 @cache
 def model(env: str) -> Model:
     """The model of a MuJoCo task. Raises UserError for an unknown task."""
-    made = made_model(task(env))
+    made = build_model(task(env))
     assert made is not None, f"{env} is a MuJoCo task"
     return made
 
 
-def made_model(known: Task) -> Model | None:
+def build_model(task: Task) -> Model | None:
     """The model of a task, which is made for this; None for a task without MuJoCo."""
-    made = known.make()
+    made = task.make()
     inside = simulated(made)
     result = None if inside is None else Model(inside.model, inside.dt)
     made.close()

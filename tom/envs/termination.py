@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, cast
 
 from tom.envs.task import Task, Termination
-from tom.envs.user_code import import_function, running
+from tom.envs.user_code import import_function, running_user_code
 from tom.errors import OwnCodeError, UserError, unknown
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ RULES: dict[str, Termination] = {NEVER: never}
 """rules by name: of plug-ins, and of modules that the user named"""
 
 
-def bring_rule(name: str | None) -> None:
+def import_rule(name: str | None) -> None:
     """Import and register the rule `module:function`: code that the user chose to run.
 
     Raises UserError if there is no such function.
@@ -71,28 +71,28 @@ def bring_rule(name: str | None) -> None:
         RULES[name] = cast(Termination, import_function(name, "--termination"))
 
 
-def brought_rules() -> list[str]:
+def imported_rules() -> list[str]:
     """The rules whose modules the user named to this process."""
     return [name for name in RULES if ":" in name]
 
 
-def learns_ends(known: Task, name: str | None) -> bool:
+def learns_ends(task: Task, name: str | None) -> bool:
     """Whether a head of the model learns the ends: on request, or if there is no rule."""
-    return name == LEARNT or (name is None and not known.knows_ends)
+    return name == LEARNT or (name is None and not task.knows_ends)
 
 
-def rule(known: Task, name: str | None) -> Termination:
+def rule(task: Task, name: str | None) -> Termination:
     """The termination rule for modelled episodes; without a name the task's own rule.
 
     If a head of the model `learns_ends`, it replaces this rule, which then never ends an episode.
-    Raises UserError for an unknown name: nothing is imported here (see `bring_rule`).
+    Raises UserError for an unknown name: nothing is imported here (see `import_rule`).
     """
     if name is None:
-        return known.terminated
+        return task.terminated
     if name in (LEARNT, NEVER):
         return never
     if name in RULES:
-        return checked(RULES[name], known, name)
+        return checked_rule(RULES[name], task, name)
     if ":" in name:
         raise UserError(
             f"termination {name} is code, which is imported only where you name it: add "
@@ -101,28 +101,28 @@ def rule(known: Task, name: str | None) -> Termination:
     raise unknown("termination", name, (*RULES, LEARNT))
 
 
-def checked(given: Termination, known: Task, name: str) -> Termination:
+def checked_rule(rule_of_user: Termination, task: Task, name: str) -> Termination:
     """The user's rule `given` for observations as agents see them, after a test call.
 
     It raises OwnCodeError where it fails or its answer is not a valid one.
     """
     import torch
 
-    offset, scale = (torch.tensor(x, dtype=torch.float32) for x in known.obs_units)
+    offset, scale = (torch.tensor(x, dtype=torch.float32) for x in task.obs_units)
 
     def terminated(next_obs: Tensor) -> Tensor:
-        with running(f"termination {name} for next observations {tuple(next_obs.shape)}"):
-            answer = given(next_obs * scale.to(next_obs) + offset.to(next_obs))
+        with running_user_code(f"termination {name} for next observations {tuple(next_obs.shape)}"):
+            answer = rule_of_user(next_obs * scale.to(next_obs) + offset.to(next_obs))
         if (
             not isinstance(answer, torch.Tensor)
             or answer.shape != next_obs.shape[:-1]
             or answer.dtype != torch.bool
         ):
             raise OwnCodeError(
-                f"termination {name} must map next observations (B, {known.obs_dim}), a tensor, to "
+                f"termination {name} must map next observations (B, {task.obs_dim}), a tensor, to "
                 "a bool tensor (B,)"
             )
         return answer
 
-    terminated(torch.zeros(3, known.obs_dim))
+    terminated(torch.zeros(3, task.obs_dim))
     return terminated

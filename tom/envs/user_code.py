@@ -10,22 +10,22 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from tom.errors import OF_USERS, DivergedError, OwnCodeError, UserError, reason
-from tom.machine.memory import ran_out
+from tom.errors import USER_CODE_ERRORS, DivergedError, OwnCodeError, UserError, reason
+from tom.machine.memory import is_out_of_memory
 
-_NOT_THE_USERS = (
+_LIBRARY_PATHS = (
     "site-packages",
     "<frozen",
     sysconfig.get_path("stdlib"),
     str(Path(__file__).parents[1]),
 )
 """parts of the paths of libraries, of Python itself and of this package"""
-_USERS: dict[str, ModuleType] = {}
+_USER_MODULES: dict[str, ModuleType] = {}
 """the modules that the user named to this process, by what he wrote"""
 
 
 @contextmanager
-def running(what: str) -> Iterator[None]:
+def running_user_code(what: str) -> Iterator[None]:
     """The block runs code of the user's, which `what` names.
 
     Raises OwnCodeError, with the place of the error, for whatever it raises, except for lack of
@@ -35,11 +35,11 @@ def running(what: str) -> Iterator[None]:
         yield
     except (UserError, DivergedError):
         raise
-    except OF_USERS as error:
-        if ran_out(error):
+    except USER_CODE_ERRORS as error:
+        if is_out_of_memory(error):
             raise
         raise OwnCodeError(
-            f"{what} fails: {type(error).__name__}: {reason(error)}{place(error)}"
+            f"{what} fails: {type(error).__name__}: {reason(error)}{error_location(error)}"
         ) from error
     finally:
         import torch  # it takes seconds, and who only shows runs does without it
@@ -47,10 +47,10 @@ def running(what: str) -> Iterator[None]:
         torch.set_default_dtype(torch.float32)  # code that computes in double may have changed it
 
 
-def place(error: BaseException) -> str:
+def error_location(error: BaseException) -> str:
     """The file and line of the user's that an error comes from, in brackets; empty if unknown."""
     frames = traceback.extract_tb(error.__traceback__)
-    own = [f for f in frames if not any(part in f.filename for part in _NOT_THE_USERS)]
+    own = [f for f in frames if not any(part in f.filename for part in _LIBRARY_PATHS)]
     return f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
 
 
@@ -65,16 +65,16 @@ def import_named(module: str, option: str) -> ModuleType:
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)
     try:
-        remember(module, found := importlib.import_module(module))
+        register_module(module, found := importlib.import_module(module))
         torch.set_default_dtype(torch.float32)
     except ModuleNotFoundError as error:
         raise UserError(
             f"{option}: no module '{error.name}': install it, or start from the folder it is in"
         ) from error
-    except OF_USERS as error:  # errors of the user's code
+    except USER_CODE_ERRORS as error:  # errors of the user's code
         raise UserError(
             f"{option}: module '{module}' cannot be imported: "
-            f"{type(error).__name__}: {reason(error)}{place(error)}"
+            f"{type(error).__name__}: {reason(error)}{error_location(error)}"
         ) from error
     return found
 
@@ -88,15 +88,15 @@ def import_function(name: str, option: str) -> Callable[..., Any]:
     return found
 
 
-def remember(name: str, module: ModuleType) -> None:
-    """Keep a module that the user named by `name`, for `users_code`."""
-    _USERS[name] = module
+def register_module(name: str, module: ModuleType) -> None:
+    """Keep a module that the user named by `name`, for `user_code_paths`."""
+    _USER_MODULES[name] = module
 
 
-def users_code() -> list[Path]:
+def user_code_paths() -> list[Path]:
     """The files, and the folders of packages, of the modules that the user named, in order."""
     found: set[Path] = set()
-    for module in _USERS.values():
+    for module in _USER_MODULES.values():
         top = sys.modules.get(module.__name__.partition(".")[0], module)
         places = getattr(top, "__path__", None) or [getattr(top, "__file__", None)]
         found.update(Path(place) for place in places if place and Path(place).exists())

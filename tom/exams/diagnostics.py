@@ -77,13 +77,13 @@ def rms(error: Tensor, scale: Tensor) -> float:
 def rollout_error(
     model: DynamicsModel, rows: TensorTransitions, starts: Tensor, scale: Tensor
 ) -> float:
-    """Error of next_obs after `HORIZON` steps of the model (`rolled_out`)."""
-    _, obs = rolled_out(model, rows, starts, HORIZON)
+    """Error of next_obs after `HORIZON` steps of the model (`predict_steps_ahead`)."""
+    _, obs = predict_steps_ahead(model, rows, starts, HORIZON)
     return rms(obs - rows.next_obs[starts + HORIZON - 1], scale)
 
 
 @torch.no_grad()
-def rolled_out(
+def predict_steps_ahead(
     model: DynamicsModel, rows: TensorTransitions, starts: Tensor, steps: int
 ) -> tuple[Tensor, Tensor]:
     """The last (reward (K,), next_obs (K, O)) of `steps` (1 or more) of the model's mean.
@@ -114,7 +114,7 @@ def ending_metrics(
     }
 
 
-def unbroken(rows: TensorTransitions) -> Tensor:
+def rollout_starts(rows: TensorTransitions) -> Tensor:
     """The rows (K,) at which `HORIZON` rows of one episode begin."""
     ended = ((rows.terminated + rows.truncated) > 0).to(torch.float32)
     if len(rows) < HORIZON:
@@ -145,7 +145,7 @@ def fit_metrics(
     metrics["model/error_other"] = one_step_error(model, sample, scale)
     older = replay[max(others - 10 * ROWS, 0) : others]  # enough rows, as a view
     for name, rows in (("policy", context.policy_buffer), ("other", older)):
-        starts = unbroken(rows)
+        starts = rollout_starts(rows)
         if len(starts):
             picked = starts[uniform_indices(len(starts), min(ROWS, len(starts)), generator)]
             metrics[f"model/rollout_error_{name}"] = rollout_error(model, rows, picked, scale)

@@ -16,7 +16,7 @@ from torch import Tensor
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.base import DynamicsModel
-from tom.exams.diagnostics import HORIZON, rms, rolled_out, unbroken
+from tom.exams.diagnostics import HORIZON, predict_steps_ahead, rms, rollout_starts
 from tom.exams.energy import footprint_match, step_scaling
 
 CAUGHT_DRAWS, FALSE_DRAWS = 32, 4
@@ -93,10 +93,10 @@ def model_metrics(
     spread = Scaling.of((buffer.reward[:, None],)).std
     metrics = {}
     every = torch.arange(len(rows), device=rows.obs.device)
-    for ahead, starts, steps in (("", every, 1), ("rollout_", unbroken(rows), HORIZON)):
+    for ahead, starts, steps in (("", every, 1), ("rollout_", rollout_starts(rows), HORIZON)):
         if len(starts):
             last = starts + steps - 1
-            reward, next_obs = rolled_out(model, rows, starts, steps)
+            reward, next_obs = predict_steps_ahead(model, rows, starts, steps)
             metrics[f"exam/{ahead}error"] = rms(next_obs - rows.next_obs[last], change)
             metrics[f"exam/{ahead}reward_error"] = rms(reward - rows.reward[last], spread)
     nll = model.nll(rows)

@@ -27,7 +27,7 @@ from tom.own_loop.live import weigh_live
 from tom.own_loop.run import record
 
 Columns = dict[str, NDArray]
-OURS = {
+METRIC_NAMES = {
     "eval/mean_reward": "eval/return",
     "train/critic_loss": "critic/loss",
     "train/actor_loss": "actor/loss",
@@ -173,7 +173,7 @@ class RecordCallback(BaseCallback, KVWriter):
     def write(self, key_values: Any, key_excluded: Any, step: int = 0) -> None:
         """Record the numbers that the library logs, but its times."""
         numbers = {
-            OURS.get(str(name), str(name)): value
+            METRIC_NAMES.get(str(name), str(name)): value
             for name, value in key_values.items()
             if isinstance(value, float | int | np.number) and not str(name).startswith("time/")
         }

@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from tom.data.sampling import normalise
-from tom.envs.user_code import running
+from tom.envs.user_code import running_user_code
 from tom.errors import OwnCodeError, reason
 from tom.learners.base import DEGENERATE, FitContext, Learner, Weighting, uniform
 from tom.learners.terms import Terms
-from tom.metrics import OURS
+from tom.metrics import BUILT_IN
 
 UNIT_MEAN = 1e-3
 """weights whose mean differs from 1 by more are divided by it"""
@@ -25,29 +25,29 @@ class OwnLearner:
     def __init__(self, name: str, make: Callable[[], Learner]) -> None:
         """Raises OwnCodeError if `make` fails or makes no learner."""
         self._what = f"learner '{name}'"
-        with running(self._what):
+        with running_user_code(self._what):
             self._learner = make()
         self.state_dict()  # a state that no checkpoint can hold is found here, not at the resume
 
     def weigh(self, context: FitContext) -> Weighting:
         """Raises OwnCodeError if the learner fails or its answer is of another form."""
-        with running(self._what):
+        with running_user_code(self._what):
             given = self._learner.weigh(context)
             if not isinstance(given, Weighting):
                 raise OwnCodeError(
                     f"{self._what} answers with a {type(given).__name__}: weigh must return a "
                     "Weighting"
                 )
-            answer = self._of_our_types(given, context.replay.obs)
+            answer = self._checked_types(given, context.replay.obs)
         self.state_dict()  # it may have another form after the first fit
         if not _usable(answer):
             plain = uniform(context.replay, ready=False)
             answer = replace(plain, metrics=answer.metrics, notices=(*answer.notices, DEGENERATE))
-        return self._of_mean_one(answer)
+        return self._scaled_to_mean_one(answer)
 
     def state_dict(self) -> dict[str, Any]:
         """The learner's own. Raises OwnCodeError if no checkpoint could be loaded with it."""
-        with running(self._what):
+        with running_user_code(self._what):
             state = self._learner.state_dict()
             if not isinstance(state, dict):
                 raise OwnCodeError(
@@ -68,10 +68,10 @@ class OwnLearner:
         return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        with running(self._what):
+        with running_user_code(self._what):
             self._learner.load_state_dict(state)
 
-    def _of_our_types(self, given: Weighting, obs: Tensor) -> Weighting:
+    def _checked_types(self, given: Weighting, obs: Tensor) -> Weighting:
         """`given` with arrays like obs (N, O) and plain numbers and texts."""
 
         def array(name: str, value: Any, shape: tuple[int, ...] = obs.shape[:1]) -> Tensor:
@@ -83,7 +83,7 @@ class OwnLearner:
             return value.detach().to(obs)
 
         metrics = {str(name): float(value) for name, value in given.metrics.items()}
-        if taken := metrics.keys() & OURS:
+        if taken := metrics.keys() & BUILT_IN:
             raise OwnCodeError(
                 f"{self._what}: its metric '{min(taken)}' is one that the training records itself: "
                 "give it another name"
@@ -99,7 +99,7 @@ class OwnLearner:
             notices=tuple((str(kind), str(message)) for kind, message in given.notices),
         )
 
-    def _of_mean_one(self, answer: Weighting) -> Weighting:
+    def _scaled_to_mean_one(self, answer: Weighting) -> Weighting:
         mean = float(answer.weights.mean(dtype=torch.float64))
         if abs(mean - 1) <= UNIT_MEAN:
             return answer

@@ -24,8 +24,8 @@ def available() -> int:
     return int(free[0]) * 1024 if free else sys.maxsize
 
 
-REFUSING = (MemoryError, RuntimeError)
-"""types of the errors that a lack of memory may be; `ran_out` tells which of them are"""
+MEMORY_ERRORS = (MemoryError, RuntimeError)
+"""types of the errors that a lack of memory may be; `is_out_of_memory` tells which of them are"""
 
 _REFUSALS = (
     "CUDA out of memory",
@@ -36,7 +36,7 @@ _REFUSALS = (
 """parts of the messages of torch, MuJoCo and the kernel when memory runs out"""
 
 
-def ran_out(error: BaseException) -> bool:
+def is_out_of_memory(error: BaseException) -> bool:
     """Whether the error means that there was not enough memory."""
     return isinstance(error, MemoryError) or any(words in str(error) for words in _REFUSALS)
 

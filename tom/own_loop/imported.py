@@ -14,7 +14,7 @@ import pandas as pd
 from tom.config import OwnLoopConfig
 from tom.errors import UserError, reason
 from tom.events import Metrics, Tick
-from tom.own_loop.opening import known_task, opened
+from tom.own_loop.opening import open_record, resolve_task
 from tom.record import Store
 
 RETURNS = (
@@ -59,14 +59,14 @@ def import_metrics(
     for training, table in found.items():
         words = "-".join(filter(None, (name, training or ("" if name else path.stem))))
         named[re.sub(r"[^A-Za-z0-9._-]", "-", words)[:95]] = table
-    place, known = Store(Path(store)), known_task(env)
+    place, known = Store(Path(store)), resolve_task(env)
     if taken := [run_id for run_id in named if place.resolve(run_id).exists()]:
         raise UserError(f"run '{taken[0]}' exists already: choose another --name")
     for run_id, table in named.items():
         last, given = int(table.index[-1]), {"imported": path.name}
         settings = OwnLoopConfig(env=known.name, steps=max(last, 1), own=given)
         chosen = returned or next((metric for metric in RETURNS if metric in table), "")
-        with opened(place, run_id, settings) as recorder:
+        with open_record(place, run_id, settings) as recorder:
             # Steps before that of the status have no time: theirs is not known.
             recorder.consume(Tick(last + 1, "import"))
             # A metric of that name that is not the chosen one keeps its numbers under another.

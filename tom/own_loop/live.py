@@ -25,7 +25,7 @@ from tom.config import ModelConfig, OwnLoopConfig
 from tom.data.datasets import initial_obs
 from tom.data.transitions import Transitions
 from tom.data.unpack import read_arrays
-from tom.envs import bring
+from tom.envs import import_task
 from tom.errors import TryLaterError, UserError, check_known, reason
 from tom.events import Event, Metrics, Notice, Tick
 from tom.exams.diagnostics import ending_metrics, weight_metrics
@@ -33,7 +33,7 @@ from tom.exams.exam import Exam, Fitted, footprint_metrics
 from tom.learners import LEARNERS, follows_value, make_learner, with_own_settings
 from tom.learners.base import FitContext
 from tom.machine.processes import Process, on_stopping, start
-from tom.own_loop.opening import opened
+from tom.own_loop.opening import open_record
 from tom.own_loop.run import OwnRun
 from tom.policy.stored import StoredPolicy
 from tom.record import RunReader, Store, layout, lock
@@ -101,7 +101,7 @@ def weigh_live(
     return live
 
 
-class _Live:
+class _LearnerRecord:
     """One learner's weights of the run `source`: its record, and what it keeps between fits."""
 
     def __init__(self, source: RunReader, learner: str, every: int, began_at: int) -> None:
@@ -114,7 +114,7 @@ class _Live:
         until, place = time.monotonic() + WAIT_S, Store(source.path / layout.LIVE)
         while True:  # the process of a loop that was killed may still weigh its last buffer
             try:
-                self.recorder = opened(place, learner, self.config, "auto", began_at)
+                self.recorder = open_record(place, learner, self.config, "auto", began_at)
                 break
             except TryLaterError:
                 if time.monotonic() > until:
@@ -167,7 +167,7 @@ def follow(source: RunReader, learners: Sequence[str], every: int, began_at: int
     """
     writer = source.status.pid
     with ExitStack() as stack:
-        lives = [_Live(source, learner, every, began_at) for learner in learners]
+        lives = [_LearnerRecord(source, learner, every, began_at) for learner in learners]
         for live in lives:
             stack.enter_context(live.recorder)
         last, took = 0, 0.0
@@ -187,12 +187,12 @@ def follow(source: RunReader, learners: Sequence[str], every: int, began_at: int
                     )
                     for live in lives:
                         live.recorder.consume(Notice(int(recorded[1].max()), "behind", text))
-                begun = time.monotonic()
+                started_at = time.monotonic()
                 policy = read_arrays(source.path / layout.policy(steps[-1]))
                 last = len(recorded[0])
                 for live in lives:
                     live.weigh(*recorded, policy)
-                took = time.monotonic() - begun
+                took = time.monotonic() - started_at
             if not running:
                 if now.state != "finished":
                     for live in lives:
@@ -209,7 +209,7 @@ def main(run: str, began_at: str, every: str, *learners: str) -> int:
     try:
         plugins.load([])
         source = RunReader(run)
-        bring(source.env)
+        import_task(source.env)
         with on_stopping(signal.default_int_handler):
             follow(source, learners, int(every), int(began_at))
     except (UserError, OSError, KeyboardInterrupt) as error:

@@ -13,7 +13,7 @@ import numpy as np
 from tom.config import OWN_LOOP, OwnLoopConfig
 from tom.data.transitions import Transitions
 from tom.data.unpack import read_arrays
-from tom.envs import ENVS, OTHERS, Task, bring, task
+from tom.envs import ENVS, OTHERS, Task, import_task, task
 from tom.envs.gymnasium_task import OWN
 from tom.errors import UserError
 from tom.record import Store, decode, layout
@@ -24,17 +24,17 @@ from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter, TakenError
 
 
-def known_task(env: str) -> Task:
+def resolve_task(env: str) -> Task:
     """The task called `env`, ours if it is Gymnasium's under another name. Raises UserError."""
     ours = {one.gym_id: one.name for one in ENVS.values() if not one.kwargs}
     name = ours.get(env, env)
     if name not in (*ENVS, *OTHERS) and ":" not in name:
         name = f"{OWN}:{name}"
-    bring(name)
+    import_task(name)
     return task(name)
 
 
-def opened(
+def open_record(
     store: Store,
     name: str,
     settings: OwnLoopConfig,

@@ -24,7 +24,7 @@ from tom.policy.stored import layer_arrays
 HIDDEN, LR, BATCH = 64, 3e-3, 256
 STEPS, STEPS_AGAIN = 600, 150
 """of a copy's training: the first time, and when it goes on from the last copy"""
-ASKED, DRAWS = 2000, 8
+MAX_OBSERVATIONS, DRAWS = 2000, 8
 """observations that a policy is asked about, and actions for each"""
 NARROW = -20.0
 """log standard deviation of a policy without spread"""
@@ -39,7 +39,7 @@ Copy = tuple[dict[str, NDArray], float | None]
 
 class PolicyCopier:
     def __init__(self, known: Task) -> None:
-        self._known = known
+        self._task = known
         self._offset, self._scale = known.obs_units
         self._net: StackedMLP | None = None
 
@@ -51,32 +51,32 @@ class PolicyCopier:
         """
         exact = _networks(policy)
         if exact is None:
-            return self._learnt(policy, obs)
+            return self._fit_copy(policy, obs)
         actor, critics, centre, spread = exact
         dims = actor[0][0].shape[0], actor[-1][0].shape[1] // 2
-        if dims != (self._known.obs_dim, self._known.action_dim):
+        if dims != (self._task.obs_dim, self._task.action_dim):
             raise UserError(
                 f"policy: its network maps {dims[0]} numbers to {dims[1]} actions, and "
-                f"{self._known.name} has {self._known.obs_dim} and {self._known.action_dim}"
+                f"{self._task.name} has {self._task.obs_dim} and {self._task.action_dim}"
             )
         scale, offset = self._scale / spread, (self._offset - centre) / spread
         pair = critics[:2] if len(critics) >= 2 else []
-        twins = [_moved(critic, scale, offset) for critic in pair]
+        twins = [_fold_scaling(critic, scale, offset) for critic in pair]
         joined = (zip(*of, strict=True) for of in zip(*twins, strict=True))
         both = [(np.stack(weights), np.stack(biases)) for weights, biases in joined]
-        return layer_arrays(self._known.name, _moved(actor, scale, offset), both), None
+        return layer_arrays(self._task.name, _fold_scaling(actor, scale, offset), both), None
 
-    def _learnt(self, policy: Any, obs: NDArray) -> Copy:
+    def _fit_copy(self, policy: Any, obs: NDArray) -> Copy:
         """A network that has learnt the policy's mean and spread before the tanh."""
         if not len(obs):
             raise UserError(
                 "policy: hand in some transitions first, whose observations it is asked about"
             )
-        bounds, own_obs = action_bounds(self._known), self._known.own_obs
+        bounds, own_obs = action_bounds(self._task), self._task.own_obs
         foreign = ForeignPolicy(
-            "of run.policy", _asked(policy), self._known.obs_dim, bounds, own_obs
+            "of run.policy", _as_function(policy), self._task.obs_dim, bounds, own_obs
         )
-        seen = torch.from_numpy(obs[:: max(len(obs) // ASKED, 1)]).float()
+        seen = torch.from_numpy(obs[:: max(len(obs) // MAX_OBSERVATIONS, 1)]).float()
         generator = torch.Generator().manual_seed(0)
         drawn = torch.atanh(foreign(seen, DRAWS, generator).clamp(-0.999, 0.999))
         mean, log_std = drawn.mean(0), drawn.std(0).clamp(min=1e-3).log()
@@ -101,11 +101,11 @@ class PolicyCopier:
             off = self._net(x[None])[0].chunk(2, -1)[0].tanh() - mean.tanh()
         layers = [(_numbers(w[0]), _numbers(b[0, 0])) for w, b in self._net.layers]
         scale, offset = 1 / _numbers(spread), -_numbers(centre / spread)
-        arrays = layer_arrays(self._known.name, _moved(layers, scale, offset))
+        arrays = layer_arrays(self._task.name, _fold_scaling(layers, scale, offset))
         return arrays, float(off.square().mean().sqrt())
 
 
-def _moved(layers: Layers, scale: NDArray, offset: NDArray) -> Layers:
+def _fold_scaling(layers: Layers, scale: NDArray, offset: NDArray) -> Layers:
     """The layers for inputs x whose first dimensions are what was `offset + scale * x` before."""
     weight, bias = layers[0]
     first, n = weight.copy(), len(scale)
@@ -113,7 +113,7 @@ def _moved(layers: Layers, scale: NDArray, offset: NDArray) -> Layers:
     return [(first, bias + offset @ weight[:n]), *layers[1:]]
 
 
-def _asked(policy: Any) -> Callable[[Tensor], Any]:
+def _as_function(policy: Any) -> Callable[[Tensor], Any]:
     if isinstance(policy, nn.Module):
         parameter = next(policy.parameters(), torch.zeros(0))
         return lambda obs: policy(obs.to(parameter))

@@ -30,7 +30,7 @@ from tom.events import (
     TrainedPolicy,
     Weights,
 )
-from tom.own_loop.opening import known_task, opened
+from tom.own_loop.opening import open_record, resolve_task
 from tom.own_loop.policy import PolicyCopier
 from tom.own_loop.rows import AUTORESET, BLOCK, Autoreset, Rows
 from tom.policy.collect import Evaluator
@@ -108,7 +108,7 @@ class OwnRun:
         step: int | None = None,
         strict: bool = False,
     ) -> None:
-        known, place = known_task(env), Store(Path(store))
+        known, place = resolve_task(env), Store(Path(store))
         if envs < 1 or autoreset not in (None, *AUTORESET) or resume not in (None, "auto"):
             raise UserError(
                 f"envs {envs}, autoreset {autoreset}, resume {resume}: envs is at least 1, "
@@ -120,7 +120,7 @@ class OwnRun:
             settings = OwnLoopConfig(env=known.name, learner=OWN_LOOP, **chosen)
         except ValidationError as error:
             raise UserError(invalid_value(error)) from None
-        self._recorder = opened(place, name, settings, resume, step)
+        self._recorder = open_record(place, name, settings, resume, step)
         self.name, self.path, self.closed = name, self._recorder.writer.path, False
         numbers = RunReader(self.path).buffer()[1]
         handed = int(numbers.max(initial=0)) if step is None or not len(numbers) else step
@@ -135,7 +135,7 @@ class OwnRun:
         self._evaluator = lru_cache(maxsize=1)(partial(Evaluator, known))  # by its episodes
         self._episodes: tuple[int, list[Episode]] = (-1, [])
         self._newest: Transitions | None = None  # the last block of rows
-        self._next_card, self._given = FEW_ROWS, set[str]()
+        self._next_card, self._notices_given = FEW_ROWS, set[str]()
         self.live: list[Callable[[], str]] = []
         """give the reason of a live weighing that failed, else nothing"""
         self._live: tuple[str, int, NDArray[np.float32]] | None = None
@@ -185,7 +185,7 @@ class OwnRun:
             name: getattr(value, "item", lambda v=value: v)() for name, value in values.items()
         }
         numbers = {str(name): float(value) for name, value in given.items()}
-        self._recorder.consume(Metrics(self._at(step), numbers))
+        self._recorder.consume(Metrics(self._checked_step(step), numbers))
         if "eval/return" in numbers:
             self._returned = self._step
 
@@ -202,7 +202,7 @@ class OwnRun:
             )
         if not np.isfinite(given).all() or (given < 0).any() or not given.any():
             raise UserError("they must be finite, non-negative and not all zero")
-        at = self._at(step)
+        at = self._checked_step(step)
         self._flush()
         kept = self._rows.in_record(given)
         if not kept.any():
@@ -217,7 +217,7 @@ class OwnRun:
 
         `tom.own_loop.policy` says what it may answer, and what becomes of it.
         """
-        at = self._at(step)
+        at = self._checked_step(step)
         self._flush()
         rows = self._newest
         obs = np.zeros((0, self._known.obs_dim)) if rows is None else np.asarray(rows.obs)
@@ -271,7 +271,7 @@ class OwnRun:
             if array.shape != shape or not h:
                 raise UserError(f"{name} has shape {array.shape}, not {shape}")
         episode = Episode(reward, action, obs, qpos, qvel, terminated, truncated)
-        self._evaluated(self._at(step), [episode])
+        self._add_episodes(self._checked_step(step), [episode])
 
     @_guarded
     def evaluate(self, step: int, episodes: int = 3) -> None:
@@ -281,10 +281,10 @@ class OwnRun:
         """
         if self._policy is None:
             raise UserError("no policy has been kept yet: call policy before")
-        at, policy = self._at(step), StoredPolicy(self._policy[1])
+        at, policy = self._checked_step(step), StoredPolicy(self._policy[1])
         if at == self._episodes[0]:
             return
-        self._evaluated(at, self._evaluator(episodes).run(policy.mean, at))
+        self._add_episodes(at, self._evaluator(episodes).run(policy.mean, at))
 
     def latest_weights(self, learner: str = "tom") -> NDArray[np.float32]:
         """The newest live weights (`tom.weigh_live`) of the rows handed in, oldest first: (N,).
@@ -338,7 +338,7 @@ class OwnRun:
 
     # Parts
 
-    def _at(self, step: int) -> int:
+    def _checked_step(self, step: int) -> int:
         """`step`, checked. Raises UserError."""
         if not isinstance(step, int | np.integer) or step < 0:
             raise UserError(f"step {step!r} is not a whole number from 0 on")
@@ -349,8 +349,8 @@ class OwnRun:
 
     def _notice(self, code: str, text: str) -> None:
         """Record a notice, each code once."""
-        if code not in self._given:
-            self._given.add(code)
+        if code not in self._notices_given:
+            self._notices_given.add(code)
             self._recorder.consume(Notice(max(self.step, self._step), code, text))
 
     def _flush(self) -> None:
@@ -362,7 +362,7 @@ class OwnRun:
                 for code, text in card_of_run(rows, self._known).notices():
                     self._notice(code, text)
 
-    def _evaluated(self, step: int, episodes: Sequence[Episode]) -> None:
+    def _add_episodes(self, step: int, episodes: Sequence[Episode]) -> None:
         at, earlier = self._episodes
         self._episodes = step, [*(earlier if at == step else ()), *episodes]
         if self._returned == step:  # the caller's own number counts

@@ -19,7 +19,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tom.errors import OF_USERS, UserError, reason
+from tom.errors import USER_CODE_ERRORS, UserError, reason
 from tom.harmless import terminal
 from tom.plugins.kept import CHARTS, OWNERS, PAGES
 
@@ -72,14 +72,14 @@ def load(named: Sequence[str] = ()) -> None:
         key = f"{GROUP}:{point.name}"
         if key in _LOADED:
             continue
-        from tom.envs.user_code import remember
+        from tom.envs.user_code import register_module
 
         try:
             module = point.load()
             _register(getattr(module, "register", module), point.name)
-            remember(point.module, sys.modules[point.module])
+            register_module(point.module, sys.modules[point.module])
             _LOADED[key] = point.name
-        except OF_USERS as error:  # a broken package must not stop every command
+        except USER_CODE_ERRORS as error:  # a broken package must not stop every command
             message = f"tom: the installed plug-in {point.name} is left out: {reason(error)}"
             print(terminal(message), file=sys.stderr)
     placed = (str(Path(word).absolute()) if _is_file(word) else word for word in named)
@@ -120,7 +120,7 @@ def _load(word: str) -> None:
     """Load a module or a file. Raises UserError."""
     if word in _LOADED or (word in _LOADED.values() and not _is_file(word)):
         return
-    from tom.envs.user_code import import_named, remember
+    from tom.envs.user_code import import_named, register_module
 
     if not _is_file(word):
         _register(getattr(import_named(word, f"{OPTION} {word}"), "register", None), word)
@@ -134,9 +134,9 @@ def _load(word: str) -> None:
     module = sys.modules[name] = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except OF_USERS as error:  # the user's own code
+    except USER_CODE_ERRORS as error:  # the user's own code
         raise UserError(_failure(word, error)) from error
-    remember(word, module)
+    register_module(word, module)
     if torch := sys.modules.get("torch"):
         torch.set_default_dtype(torch.float32)  # or all of our tensors would have its type
     _register(getattr(module, "register", None), path.name)
@@ -152,7 +152,7 @@ def _register(register: object, name: str) -> None:
         register(Registry(name))
     except UserError:
         raise
-    except OF_USERS as error:
+    except USER_CODE_ERRORS as error:
         raise UserError(_failure(name, error)) from error
 
 

@@ -18,13 +18,13 @@ from tom.config import (
     SacRecordingConfig,
 )
 from tom.envs import ENV_NAMES, OTHERS, Task, Termination
-from tom.envs.gymnasium_task import STEPS, inspected
+from tom.envs.gymnasium_task import STEPS, inspect_task
 from tom.envs.termination import LEARNT, RULES
 from tom.errors import UserError
 from tom.learners import LEARNERS, LearnerEntry
 from tom.learners.base import Learner
 from tom.learners.own import OwnLearner
-from tom.metrics import FATAL, METRICS, OURS
+from tom.metrics import BUILT_IN, FATAL, METRICS
 from tom.plugins.kept import CHARTS, OWNERS, PAGES, Chart, Page
 from tom.road.baselines import BASELINES
 
@@ -94,7 +94,7 @@ class Registry:
         self._own("task", name, [*ENV_NAMES, *OTHERS])
 
         def made() -> Task:
-            known = inspected(name, gym_id, terminated)
+            known = inspect_task(name, gym_id, terminated)
             if obs_names and len(obs_names) != known.obs_dim:
                 raise UserError(f"task {name} observes {known.obs_dim} numbers, not so many names")
             named = tuple(obs_names) or known.obs_names
@@ -114,7 +114,7 @@ class Registry:
 
         With `advice` (what to try), a value that is not finite ends the training.
         """
-        if path in METRICS or path in OURS:
+        if path in METRICS or path in BUILT_IN:
             raise self._error(f"there is a metric '{path}' already")
         METRICS[path] = meaning
         if advice is not None:

@@ -23,8 +23,8 @@ from torch.nn.functional import relu
 
 from tom.data.card import PolicyFacts, Range
 from tom.data.transitions import TensorTransitions
-from tom.envs.user_code import import_function, place
-from tom.errors import OF_USERS, UserError, reason
+from tom.envs.user_code import error_location, import_function
+from tom.errors import USER_CODE_ERRORS, UserError, reason
 from tom.nn.mlp import StackedMLP
 
 TORCHSCRIPT = (".pt", ".pth", ".ts", ".torchscript")
@@ -141,10 +141,10 @@ class ForeignPolicy:
             answer = tuple(_numbers(part) for part in parts)
         except UserError:
             raise
-        except OF_USERS as error:
+        except USER_CODE_ERRORS as error:
             raise UserError(
                 f"policy {self.name} fails on observations {tuple(obs.shape)}, any number of which "
-                f"it must take: {_why(error)}{place(error)}"
+                f"it must take: {_error_reason(error)}{error_location(error)}"
             ) from error
         shape = len(obs), self.action_dim
         if self.action_dim == len(answer) == 1 and answer[0].shape == shape[:1]:
@@ -166,7 +166,7 @@ def _numbers(part: Any) -> Tensor:
     return array.to("cpu", torch.float32)
 
 
-def _why(error: BaseException) -> str:
+def _error_reason(error: BaseException) -> str:
     """`reason` of an error; for TorchScript the last of its many lines, which has the reason."""
     lines = str(error).strip().splitlines()
     return lines[-1][:200] if lines and lines[0].endswith(INTERPRETER) else reason(error)

@@ -26,7 +26,7 @@ from tom.events import (
     TrainedPolicy,
     Weights,
 )
-from tom.machine.memory import out_of_memory, ran_out
+from tom.machine.memory import is_out_of_memory, out_of_memory
 from tom.record import checkpoint, decode, layout
 from tom.record.lock import LostError
 from tom.record.reader import RunReader
@@ -148,7 +148,7 @@ class Recorder:
                     # Exploration is much faster than training: it does not predict the time left.
                     with self._status_lock:
                         self._speeds = deque([(self._timer(), event.env_step)])
-                self._say(env_step=event.env_step, phase=event.phase)
+                self._update_status(env_step=event.env_step, phase=event.phase)
             case Metrics():
                 self._merge(event.env_step, event.values)
             case Weights():
@@ -208,7 +208,7 @@ class Recorder:
                 state, reason = "failed", self._why(error)
         finally:
             seconds = self._timer() - self._started
-            self._say(
+            self._update_status(
                 state=state,
                 reason=reason,
                 phase="",
@@ -247,13 +247,13 @@ class Recorder:
             why = str(error)
         elif isinstance(error, OSError) and error.errno in DISK_FULL:
             why = f"{error}: free some space, then tom train --resume {self.run_id}"
-        elif ran_out(error):
+        elif is_out_of_memory(error):
             why = out_of_memory(error)
         return f"step {self.status.env_step}: {why}"
 
     # The status
 
-    def _say(self, **changes: Any) -> None:
+    def _update_status(self, **changes: Any) -> None:
         with self._status_lock:
             self.status = replace(self.status, **changes)
 
@@ -261,7 +261,7 @@ class Recorder:
         """Add a warning for readers of the run; it replaces the last one of its kind."""
         self._warnings.pop(kind, None)
         self._warnings[kind] = f"step {step}: {message}"
-        self._say(warnings=tuple(self._warnings.values())[-WARNINGS:])
+        self._update_status(warnings=tuple(self._warnings.values())[-WARNINGS:])
 
     def _beat_on(self) -> None:
         while not self._ending.wait(BEAT_S):
@@ -277,7 +277,7 @@ class Recorder:
         self._pending.update(values)
         if isfinite(returned := values.get("eval/return", np.nan)):
             best = returned if self._best is None else max(self._best, returned)
-            self._say(last_return=returned, best_return=best)
+            self._update_status(last_return=returned, best_return=best)
             self._pending["eval/return_max"] = best
 
     def _write_row(self) -> None:

@@ -27,7 +27,7 @@ class Store:
         readers = []
         for name in self.names():
             try:
-                readers.append(self.look(name))
+                readers.append(self.open_run(name))
             except UserError as error:
                 self.problems.append(str(error))
         return sorted(readers, key=lambda run: (run.created, run.run_id), reverse=True)
@@ -49,7 +49,7 @@ class Store:
         names = [name for name in folders if name not in layout.BESIDE_RUNS and name[0] != "."]
         return [*names, *(n for n in layout.BESIDE_RUNS if (self.path / n).is_symlink())]
 
-    def look(self, name: str) -> RunReader:
+    def open_run(self, name: str) -> RunReader:
         """The run in the folder `name`. Raises UserError with the reason if it is not a run."""
         reader = RunReader(self.resolve(name))
         if not reader.is_run:
@@ -62,7 +62,7 @@ class Store:
         if not self.resolve(run_id).is_dir():
             newest = ", ".join(run.run_id for run in self.runs()[:3]) or "none"
             raise UserError(f"no run '{run_id}' in {self.path}/ (newest: {newest}; see `tom runs`)")
-        return self.look(run_id)
+        return self.open_run(run_id)
 
     def resolve(self, run_id: str) -> Path:
         """The folder of `run_id`, which need not exist.

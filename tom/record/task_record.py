@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tom.data.card import take
+from tom.data.card import make_card
 from tom.data.transitions import Transitions
 from tom.envs import ENVS, ROAD, Task, scene, task
 from tom.envs.termination import never
@@ -29,7 +29,7 @@ def save_scene(env: str, folder: Path) -> None:
     """Write the geometry of a MuJoCo task that is not ours into a run folder."""
     if env == ROAD or task(env).described() is None:
         return
-    model = scene.made_model(task(env))
+    model = scene.build_model(task(env))
     if model is not None:
         np.savez_compressed(folder / layout.SCENE, allow_pickle=False, **scene.arrays(model))
 
@@ -61,7 +61,7 @@ def card_of(run: RunReader) -> dict[str, Any]:
     if not len(rows):
         return {}
     notices = [{"code": row.get("code"), "text": row.get("message")} for row in run.notices()]
-    return {**take(rows).described(), "notices": notices}
+    return {**make_card(rows).described(), "notices": notices}
 
 
 def _same(recorded: Any, now: Any) -> bool:

@@ -69,8 +69,8 @@ def thin(
         for name, chosen in rows.items():
             if lines := b"".join(map(json_line, chosen)):
                 (to / (name + layout.PACKED)).write_bytes(gzip.compress(lines, mtime=0))
-        _optional(reader, to, "buffer", keep, without)
-        terms = not _lacks(reader, to, "buffer")  # they explain a row's weight
+        _write_optional(reader, to, "buffer", keep, without)
+        terms = not _is_missing(reader, to, "buffer")  # they explain a row's weight
         snapshots = [] if "snapshots" in without else _spread(reader.snapshot_steps(), SNAPSHOTS)
         for step in snapshots:
             frame = reader.snapshot(step)  # empty if damaged, or if a training has deleted it
@@ -80,24 +80,27 @@ def thin(
                 write_columns(to / layout.snapshot(step), columns)
         evaluations = [] if "evaluations" in without else reader.evaluation_steps()
         for step in _spread(evaluations, EVALUATIONS):
-            _arrays(reader, to, layout.episodes(step), coarse, FIRST_EPISODE.search)
+            _copy_arrays(reader, to, layout.episodes(step), coarse, FIRST_EPISODE.search)
         for name in reader.field_names():
             recorded = reader.field_steps(name)
             for step in {at_or_before(recorded, step) for step in snapshots} | {recorded[0]}:
-                _arrays(reader, to, layout.field(name, step), coarse)
+                _copy_arrays(reader, to, layout.field(name, step), coarse)
         for part in ("model", "policy", "policies"):
-            _optional(reader, to, part, keep, without)
+            _write_optional(reader, to, part, keep, without)
         copy = RunReader(to)
-        lacks = [*(part for part in OPTIONAL if _lacks(reader, to, part)), *_lost(reader, copy)]
-        before = [part for part in reader.left_out if part.removeprefix("other ") not in lacks]
-        description = _description(reader, dict.fromkeys([*before, *lacks]))
+        missing = [
+            *(part for part in OPTIONAL if _is_missing(reader, to, part)),
+            *_other_missing_parts(reader, copy),
+        ]
+        before = [part for part in reader.left_out if part.removeprefix("other ") not in missing]
+        description = _description(reader, dict.fromkeys([*before, *missing]))
         replace_json(to / layout.CONFIG, description, sync=False)
         if status.state in ("running", "stopped") and not reader.small_copy:
-            replace_json(to / layout.STATUS, asdict(_ended(status, copy)), sync=False)
+            replace_json(to / layout.STATUS, asdict(_status_of_copy(status, copy)), sync=False)
         write_digests(to)
 
 
-def _ended(status: Status, copy: RunReader) -> Status:
+def _status_of_copy(status: Status, copy: RunReader) -> Status:
     """The status of the copy of a run that had not finished: the copy cannot go on."""
     rows = copy.metrics()["env_step"].to_numpy()
     step = int(rows.max(initial=status.env_step))  # the rows may be later than the status
@@ -105,10 +108,10 @@ def _ended(status: Status, copy: RunReader) -> Status:
     return replace(status, state="stopped", phase="", env_step=step, reason=reason, eta_s=None)
 
 
-def _lost(run: RunReader, copy: RunReader) -> list[str]:
+def _other_missing_parts(run: RunReader, copy: RunReader) -> list[str]:
     """The parts besides OPTIONAL that the copy lacks; of `other ...` it has some."""
     snapshots, evaluations = copy.snapshot_steps(), copy.evaluation_steps()
-    lost = {
+    missing = {
         "checkpoint": checkpoint.newest(run.path / checkpoint.FOLDER) is not None,
         "recording": bool(run.rrd_files()),
         "live weights": bool(run.live()),
@@ -119,15 +122,15 @@ def _lost(run: RunReader, copy: RunReader) -> list[str]:
         ("policies", run.policy_steps(), copy.policy_steps()),
         ("evaluations", run.evaluation_steps(), evaluations),
     ):
-        lost[f"other {part}" if kept else part] = recorded != kept
-    lost |= {
+        missing[f"other {part}" if kept else part] = recorded != kept
+    missing |= {
         "per-dimension weights": any("dim_0" in run.snapshot(step) for step in snapshots),
         "other episodes": any(len(run.episodes(step)) > 1 for step in evaluations),
         "other pictures": any(
             run.field_steps(name) != copy.field_steps(name) for name in run.field_names()
         ),
     }
-    return [part for part, is_lost in lost.items() if is_lost]
+    return [part for part, is_missing in missing.items() if is_missing]
 
 
 def _description(reader: RunReader, left_out: Collection[str]) -> dict[str, Any]:
@@ -195,16 +198,16 @@ def write_columns(path: Path, columns: Mapping[str, NDArray]) -> None:
     )
 
 
-def _buffer(reader: RunReader, to: Path) -> None:
+def _write_buffer(reader: RunReader, to: Path) -> None:
     rows, version, _, behaviour = reader.recorded(states=False)
     if len(rows):
         known = behaviour if np.isfinite(behaviour).any() else None
         collected = Collected(0, rows, version, behaviour=known)
         arrays = decode.without_next_obs(decode.transition_arrays(collected))
-        _save(to / layout.segment(0), arrays, half)
+        _save_arrays(to / layout.segment(0), arrays, half)
 
 
-def _model(reader: RunReader, to: Path) -> None:
+def _write_model(reader: RunReader, to: Path) -> None:
     """Write the model for predictions: networks in half precision, no optimiser."""
     held = checkpoint.load_model(reader.path)
     training = held.state.get("training", {}) if held else {}
@@ -220,7 +223,7 @@ def _model(reader: RunReader, to: Path) -> None:
     checkpoint.save(to / layout.MODEL, held.env_step, {"training": state})
 
 
-def _policies(reader: RunReader, to: Path) -> None:
+def _write_policies(reader: RunReader, to: Path) -> None:
     """Write the policies of the fits whose single weights are kept, in half precision.
 
     All where none are kept: of a run without weights, as a recording of SAC, which is weighed at
@@ -229,19 +232,19 @@ def _policies(reader: RunReader, to: Path) -> None:
     snapshots = RunReader(to).snapshot_steps()
     for step in reader.policy_steps():
         if not snapshots or step in snapshots:
-            _arrays(reader, to, layout.policy(step), half)
+            _copy_arrays(reader, to, layout.policy(step), half)
 
 
 OPTIONAL: dict[str, tuple[str, Callable[[RunReader, Path], None]]] = {
-    "buffer": (layout.BUFFER, _buffer),
-    "model": (layout.MODEL, _model),
-    "policy": (layout.POLICY, lambda reader, to: _arrays(reader, to, layout.POLICY, half)),
-    "policies": (layout.POLICIES, _policies),
+    "buffer": (layout.BUFFER, _write_buffer),
+    "model": (layout.MODEL, _write_model),
+    "policy": (layout.POLICY, lambda reader, to: _copy_arrays(reader, to, layout.POLICY, half)),
+    "policies": (layout.POLICIES, _write_policies),
 }
 """parts that are left out if they are not small: the path and the writer of each"""
 
 
-def _optional(
+def _write_optional(
     reader: RunReader, to: Path, part: str, keep: Collection[str], without: Collection[str]
 ) -> None:
     """Write one of OPTIONAL, unless it is in `without`, or not small and not in `keep`."""
@@ -253,7 +256,7 @@ def _optional(
         shutil.rmtree(to / name) if (to / name).is_dir() else (to / name).unlink()
 
 
-def _lacks(reader: RunReader, to: Path, part: str) -> bool:
+def _is_missing(reader: RunReader, to: Path, part: str) -> bool:
     """Whether the run has one of OPTIONAL and the copy has nothing of it."""
     name, fits = OPTIONAL[part][0], part == "model" and reader.fits_model
     there = size_of(reader.path / name) > 0
@@ -261,7 +264,7 @@ def _lacks(reader: RunReader, to: Path, part: str) -> bool:
     return there and size_of(to / name) == 0
 
 
-def _arrays(
+def _copy_arrays(
     reader: RunReader,
     to: Path,
     name: str,
@@ -271,10 +274,10 @@ def _arrays(
     """Copy the `wanted` arrays of a file, rounded."""
     arrays = reader.arrays(name, lambda array: bool(wanted(array)))
     if arrays is not None:  # else missing or damaged, which `tom runs verify` reports
-        _save(to / name, arrays, rounded)
+        _save_arrays(to / name, arrays, rounded)
 
 
-def _save(path: Path, arrays: Mapping[str, NDArray], rounded: Rounded) -> None:
+def _save_arrays(path: Path, arrays: Mapping[str, NDArray], rounded: Rounded) -> None:
     content = {name: rounded(array) for name, array in arrays.items()}
     np.savez_compressed(path, allow_pickle=False, **content)
 

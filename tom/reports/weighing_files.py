@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from tom.analysis.brush import AS_IT_IS, BrushedFit
+from tom.analysis.brush import UNCHANGED, BrushedFit
 from tom.analysis.ordered_data import OrderedData
 from tom.analysis.progression import medians, progression
 from tom.analysis.weighing import Weighed, WeighingPlan, setting_groups
@@ -314,7 +314,7 @@ def write_weights(
 
 def called(factor: float) -> str:
     """The name of weights of that factor, used in place of a learner's name."""
-    return "as it is" if factor == AS_IT_IS else f"region x {factor:g}"
+    return "as it is" if factor == UNCHANGED else f"region x {factor:g}"
 
 
 def write_brush(

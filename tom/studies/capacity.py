@@ -19,12 +19,12 @@ from tom.reports.figures import learner_colour, strips
 from tom.studies.frozen import ERROR, MODELS, ROLLOUT_ERROR, UNIFORM, WAYS
 from tom.studies.moments import (
     QUESTIONS,
-    add_measuring,
-    answers,
+    add_measure_options,
+    answer_sentences,
     comparisons,
     findings,
-    measured,
     models_of,
+    outcomes_of,
     ratios,
 )
 from tom.studies.study import Findings, Row
@@ -40,12 +40,12 @@ AHEAD = {"one step": ERROR, "five steps": ROLLOUT_ERROR}
 
 
 def add_options(parser: ArgumentParser) -> None:
-    add_measuring(parser, [UNIFORM, *ASKED], list(MODELS))
+    add_measure_options(parser, [UNIFORM, *ASKED], list(MODELS))
 
 
 def find(args: Namespace) -> Findings:
     check_known("model", args.models, MODELS)
-    outcomes = measured(args, args.models)
+    outcomes = outcomes_of(args, args.models)
     if args.table and not any(ratios(outcomes, ERROR)):
         raise UserError(
             f"{args.table} has no moment with both uniform and other weights, "
@@ -119,7 +119,7 @@ def verdict(rows: Sequence[Row], pairs: Sequence[Row]) -> list[str]:
             f"uniform weights one step ahead (less in {best['one step, below 1']:.0%} of "
             f"{best['n']} trials), {best['five steps']:.2f} five steps ahead."
         )
-    return said + answers(pairs, "ratio", "less at")
+    return said + answer_sentences(pairs, "ratio", "less at")
 
 
 def capacity_figure(outcomes: Sequence[Row], ahead: str) -> Figure:

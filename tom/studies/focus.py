@@ -16,13 +16,13 @@ from statistics import median
 import torch
 from matplotlib.figure import Figure
 
-from tom.analysis.ordered_data import OrderedData, of_run
+from tom.analysis.ordered_data import OrderedData, load_run
 from tom.analysis.weighing import fit_model, weigh
 from tom.config import OnlineConfig, TomConfig
 from tom.data.sampling import ess, uniform_indices
 from tom.data.transitions import TensorTransitions
 from tom.envs import Task, task
-from tom.exams.diagnostics import ROWS, one_step_error, rollout_error, step_scale, unbroken
+from tom.exams.diagnostics import ROWS, one_step_error, rollout_error, rollout_starts, step_scale
 from tom.learners import LEARNERS
 from tom.learners.base import Policy, Weighting
 from tom.policy.collect import footprint
@@ -107,15 +107,18 @@ class Case:
 def focus(case: Case) -> Row:
     """Weigh, fit and test one case: ESS and errors, in standard deviations of a step's change."""
     run = RunReader(case.recording)
-    data, policy, known = of_run(run), read_policy(run.path / NAME), task(run.env)
+    data, policy, known = load_run(run), read_policy(run.path / NAME), task(run.env)
     config = _config(run.env, case.rival, case.preset).but(seed=case.seed)
     (weighed,) = weigh(data, policy, known, config, (config.learner,), (case.seed,))
-    weights, tested = torch.from_numpy(weighed.weights), _tested(data, policy, known, case.seed)
+    weights, tested = (
+        torch.from_numpy(weighed.weights),
+        _collect_test_rows(data, policy, known, case.seed),
+    )
     weighting = Weighting(weights, clipped=LEARNERS[config.learner].clipped)
     model = fit_model(data.transitions, weighting, config.model, case.seed)
     scale, anew = step_scale(data.transitions), tested["policy"]
     errors = {name: one_step_error(model, rows, scale) for name, rows in tested.items()}
-    errors["policy_rollout"] = rollout_error(model, anew, unbroken(anew), scale)
+    errors["policy_rollout"] = rollout_error(model, anew, rollout_starts(anew), scale)
     return {
         "recording": f"{run.env}-s{run.seed}",
         "rival": case.rival,
@@ -125,7 +128,7 @@ def focus(case: Case) -> Row:
     }
 
 
-def _tested(
+def _collect_test_rows(
     data: OrderedData, policy: Policy, known: Task, seed: int
 ) -> dict[str, TensorTransitions]:
     """The test data of all models of one seed."""

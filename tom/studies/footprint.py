@@ -16,14 +16,14 @@ from matplotlib.figure import Figure
 from tom.reports.figures import learner_colour, strips
 from tom.studies.frozen import UNIFORM, WAYS
 from tom.studies.moments import (
-    add_measuring,
-    answers,
+    add_measure_options,
+    answer_sentences,
     comparisons,
     findings,
-    measured,
+    informative_outcomes,
+    outcomes_of,
     over_recordings,
-    spanned,
-    telling,
+    with_interval,
 )
 from tom.studies.study import Findings, Row
 
@@ -43,11 +43,11 @@ CAPTION = (
 
 
 def add_options(parser: ArgumentParser) -> None:
-    add_measuring(parser, list(WAYS))
+    add_measure_options(parser, list(WAYS))
 
 
 def find(args: Namespace) -> Findings:
-    outcomes = measured(args)
+    outcomes = outcomes_of(args)
     tables = {"summary": summary(outcomes), "head-to-head": head_to_head(outcomes)}
     figures = {"footprint": (CAPTION, footprint_figure(outcomes))}
     return findings(args, verdict(outcomes), tables, outcomes, figures)
@@ -56,11 +56,11 @@ def find(args: Namespace) -> Findings:
 def summary(outcomes: Sequence[Row]) -> list[Row]:
     """One row per way: its distance to the policy's footprint relative to uniform weights.
 
-    Outcomes that say nothing (`telling`) do not count. A recording's score is the median over its
-    moments and seeds. The mean over tasks of the mean over recordings has a stratified bootstrap
-    interval over recordings.
+    Only `informative_outcomes` count. A recording's score is the median over its moments and seeds.
+    The mean over tasks of the mean over recordings has a stratified bootstrap interval over
+    recordings.
     """
-    rows, outcomes = [], telling(outcomes)
+    rows, outcomes = [], informative_outcomes(outcomes)
     envs = dict.fromkeys(one["env"] for one in outcomes)
     for way in dict.fromkeys(one["way"] for one in outcomes):
         of = [one for one in outcomes if one["way"] == way]
@@ -86,16 +86,18 @@ def summary(outcomes: Sequence[Row]) -> list[Row]:
 def head_to_head(outcomes: Sequence[Row]) -> list[Row]:
     """One row per question of two ways: the difference of their distances, with its interval.
 
-    Outcomes that say nothing (`telling`) do not count. Without questions about uniform weights,
-    whose distance is 1: `summary` answers them.
+    Only `informative_outcomes` count. Without questions about uniform weights, whose distance is 1:
+    `summary` answers them.
     """
-    rows = comparisons(telling(outcomes), itemgetter("footprint"), "difference", "nearer at")
+    rows = comparisons(
+        informative_outcomes(outcomes), itemgetter("footprint"), "difference", "nearer at"
+    )
     return [row for row in rows if row["against"] != UNIFORM]
 
 
 def verdict(outcomes: Sequence[Row]) -> list[str]:
     """The tables in words."""
-    said, counted = [], telling(outcomes)
+    said, counted = [], informative_outcomes(outcomes)
     if counted:
         noise = [one["footprint_noise"] for one in counted if one["way"] == UNIFORM] or [np.nan]
         runs, envs = ({one[name] for one in counted} for name in ("recording", "env"))
@@ -113,7 +115,7 @@ def verdict(outcomes: Sequence[Row]) -> list[str]:
         ("Further from the policy than no weights at all", worse),
     ):
         if rows:
-            named = ", ".join(f"{row['way']} {spanned(row, 'distance')}" for row in rows)
+            named = ", ".join(f"{row['way']} {with_interval(row, 'distance')}" for row in rows)
             said.append(f"{what}: {named}.")
     if lost := _moments(outcomes) - _moments(counted):
         where = ", ".join(f"{recording} at {step}" for recording, step in sorted(lost))
@@ -121,7 +123,7 @@ def verdict(outcomes: Sequence[Row]) -> list[str]:
             "Not counted, because the unweighted buffer is no farther from the policy than two "
             f"samples of it are from each other, and distances are noise: {where}."
         )
-    return said + answers(head_to_head(outcomes), "difference", "nearer at")
+    return said + answer_sentences(head_to_head(outcomes), "difference", "nearer at")
 
 
 def _moments(outcomes: Sequence[Row]) -> set[tuple[str, int]]:
@@ -132,7 +134,7 @@ def footprint_figure(outcomes: Sequence[Row]) -> Figure:
     """One panel per task: distance to the policy relative to uniform weights, log axis."""
     points = [
         (one["env"], one["way"], max(one["footprint"], LEAST))
-        for one in telling(outcomes)
+        for one in informative_outcomes(outcomes)
         if one["way"] != UNIFORM
     ]
     colours = {name: learner_colour(way.learner or "") for name, way in WAYS.items()}

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tom.analysis.ordered_data import OrderedData, of_run
+from tom.analysis.ordered_data import OrderedData, load_run
 from tom.analysis.weighing import fit_model, fit_weights
 from tom.config import OnlineConfig
 from tom.data.datasets import initial_obs
@@ -26,7 +26,7 @@ from tom.data.transitions import TensorTransitions
 from tom.dynamics import DynamicsModel
 from tom.envs import task
 from tom.errors import UserError
-from tom.exams.diagnostics import one_step_error, rollout_error, step_scale, unbroken
+from tom.exams.diagnostics import one_step_error, rollout_error, rollout_starts, step_scale
 from tom.exams.energy import footprint_match, step_scaling
 from tom.learners import follows_behaviour
 from tom.learners.base import Weighting
@@ -109,12 +109,12 @@ ERROR, ROLLOUT_ERROR = "error ", "rollout error "
 
 def moments(run: RunReader, most: int) -> list[int]:
     """At most `most` fits, evenly spread, whose policy was stored, after the policy was in use."""
-    first = sac_begins(run) + NEWEST
+    first = first_sac_step(run) + NEWEST
     steps = [step for step in run.policy_steps() if step >= first]
     return [steps[i] for i in spread(len(steps), most)]
 
 
-def sac_begins(run: RunReader) -> float:
+def first_sac_step(run: RunReader) -> float:
     """The step from which on SAC's policy acts; infinity if the run's settings do not say.
 
     That is after exploration, in a recording of SAC also after as many random steps as of SAC.
@@ -162,10 +162,10 @@ def cases(
     needing = [way for way in ways if follows_behaviour(WAYS[way].learner or "")]
     lacking = [run for run in runs if needing and not run.keeps_behaviour()]
     if lacking:
-        told = f"{len(lacking)} of {len(runs)} runs do not say which policies drew their actions"
+        missing = f"{len(lacking)} of {len(runs)} runs do not say which policies drew their actions"
         if len(lacking) == len(runs) and {UNIFORM, *needing} >= set(ways):
-            raise UserError(f"{told}: record again, or name other --ways")
-        say(f"{told}: left out of {', '.join(needing)}")
+            raise UserError(f"{missing}: record again, or name other --ways")
+        say(f"{missing}: left out of {', '.join(needing)}")
     return [
         Case(run.path, step, way, seed, tuple(models), rows, run.created)
         for run in runs
@@ -176,13 +176,13 @@ def cases(
     ]
 
 
-def named(case: Case, run: RunReader) -> Row:
+def outcome_columns(case: Case, run: RunReader) -> Row:
     """The columns of an outcome that say whose it is."""
     of = {"step": case.step, "way": case.way, "seed": case.seed}
     return {"recording": run.run_id, "env": run.env} | of
 
 
-def examined(case: Case) -> Row:
+def examine(case: Case) -> Row:
     """Weigh the moment's buffer, and test the weights and the models fitted with them.
 
     `ess` and `ends` are the shares of the effective sample and of the weight on transitions that
@@ -198,16 +198,16 @@ def examined(case: Case) -> Row:
     # Each way goes on with the random numbers that follow the fresh transitions.
     generator = torch.Generator().set_state(state)
     match = footprint_match(rows, weights, anew, step_scaling(rows), generator)
-    found = named(case, run) | {
+    found = outcome_columns(case, run) | {
         "ess": ess(weights),
         "ends": float((weights * rows.terminated).sum() / weights.sum()),
         "ends_policy": float(anew.terminated.mean()),
     }
     for name in ("footprint", "footprint_uniform", "footprint_noise"):
         found[name] = match.get(name, np.nan)
-    scale, starts = step_scale(rows), unbroken(anew)
+    scale, starts = step_scale(rows), rollout_starts(anew)
     for name in case.models:
-        model = fitted(name, rows, weighting, config)
+        model = fit_named_model(name, rows, weighting, config)
         found[ERROR + name] = one_step_error(model, anew, scale)
         found[ROLLOUT_ERROR + name] = rollout_error(model, anew, starts, scale)
     return found
@@ -231,8 +231,8 @@ def policy_at(run: RunReader, step: int) -> StoredPolicy:
 def buffer_at(run: RunReader, step: int) -> OrderedData:
     """The replay buffer of a training at `step`, or its counterpart in a recording of SAC."""
     if run.fits_model:
-        return of_run(run, step)
-    data = of_run(run)
+        return load_run(run, step)
+    data = load_run(run)
     first = max(data.ordered_from - RANDOM, 0)
     rows = data.transitions[first:step]
     return replace(
@@ -266,7 +266,7 @@ def weighting_of(
     return fit_weights(data, policy, rows[-NEWEST:], steps, config)
 
 
-def fitted(
+def fit_named_model(
     name: str, rows: TensorTransitions, weighting: Weighting, config: OnlineConfig
 ) -> DynamicsModel:
     """The model `name` of MODELS, fitted to the rows with these weights."""

@@ -53,20 +53,20 @@ from tom.studies.frozen import (
     buffer_at,
     cases,
     config_of,
-    fitted,
-    named,
+    first_sac_step,
+    fit_named_model,
+    outcome_columns,
     policy_at,
-    sac_begins,
     weighting_of,
 )
 from tom.studies.moments import (
     Value,
-    add_moments,
+    add_moment_options,
     chosen_runs,
     chosen_ways,
     findings,
+    outcome_label,
     sign_test,
-    told,
     trial_of,
 )
 from tom.studies.study import Findings, Row, compute
@@ -92,7 +92,7 @@ CAPTION = (
 
 
 def add_options(parser: ArgumentParser) -> None:
-    add_moments(parser, (UNIFORM, "tom-mended"))
+    add_moment_options(parser, (UNIFORM, "tom-mended"))
     parser.add_argument(
         "--termination", dest=RULE, metavar="module:function",
         help="the termination rule of the runs, if it is code of yours; it is used for these runs",
@@ -111,7 +111,7 @@ def find(args: Namespace) -> Findings:
     runs = _runs(args)
     asked = cases(runs, chosen_ways(args), args.seeds, args.moments, (args.model,))
     asked = [replace(case, updates=args.updates, episodes=args.episodes) for case in asked]
-    trials = compute(args, improved, asked, told)
+    trials = compute(args, improve, asked, outcome_label)
     rows, figures = summary(trials), {"improvement": (CAPTION, improvement_figure(trials))}
     return findings(args, verdict(trials, rows), {"summary": rows}, trials, figures)
 
@@ -139,7 +139,7 @@ def _rule_of(run: RunReader) -> str | None:
     return run.config["config"].get("model", {}).get("termination")
 
 
-def improved(case: Case) -> Row:
+def improve(case: Case) -> Row:
     """Update the policy of a moment in models and from starts with these weights, or without.
 
     Mean-action returns: `before` the updates, and during them, mean over `PARTS` evaluations, with
@@ -157,7 +157,7 @@ def improved(case: Case) -> Row:
     steps, values = curve_points(run.metrics(), TEMPERATURE)
     temperature = temperature_at(
         case.step,
-        np.append(sac_begins(run), steps),
+        np.append(first_sac_step(run), steps),
         np.append(settings.initial_temperature, values),
     )
     ends = _ends(run, rows, config)
@@ -166,14 +166,14 @@ def improved(case: Case) -> Row:
         sac = resumed_sac(policy, settings, temperature, Streams(seed).torch("sac"))
         return _return_during(sac, fit, ends, rows, weights, config, case)
 
-    weighted = fitted(case.models[0], rows, weighting, config)
+    weighted = fit_named_model(case.models[0], rows, weighting, config)
     both = during(weighted, starts)
-    found = named(case, run) | {
+    found = outcome_columns(case, run) | {
         "before": _evaluate(Evaluator(task(run.env), case.episodes), policy.mean, seed)
     }
     if case.way == UNIFORM:
         return found | dict.fromkeys(PLACES, both)
-    plain = fitted(case.models[0], rows, Weighting(even), config)
+    plain = fit_named_model(case.models[0], rows, Weighting(even), config)
     in_starts = during(plain, starts)
     return found | {"model": during(weighted, even), "starts": in_starts, "both": both}
 

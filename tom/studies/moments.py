@@ -24,7 +24,7 @@ from tom.readable import whole
 from tom.record import RunReader, Store
 from tom.reports.report import WORDS
 from tom.reports.report import seeds as in_short
-from tom.studies.frozen import ERROR, NEWEST, UNIFORM, WAYS, cases, examined, moments
+from tom.studies.frozen import ERROR, NEWEST, UNIFORM, WAYS, cases, examine, moments
 from tom.studies.study import (
     Findings,
     Row,
@@ -44,7 +44,7 @@ MEASURED = "measured: "
 """begins what a report that was made anew says of the origin of its outcomes"""
 
 
-def add_moments(parser: ArgumentParser, ways: Sequence[str]) -> None:
+def add_moment_options(parser: ArgumentParser, ways: Sequence[str]) -> None:
     """Add the options that choose runs, their moments, and ways of weighing."""
     parser.add_argument(
         "runs", nargs="*", metavar="RUN", help="[every run in the store that can be used]"
@@ -95,9 +95,11 @@ def chosen_runs(args: Namespace) -> list[RunReader]:
     return sorted(able, key=lambda run: (task_rank(run.env), run.run_id))
 
 
-def add_measuring(parser: ArgumentParser, ways: Sequence[str], models: Sequence[str] = ()) -> None:
+def add_measure_options(
+    parser: ArgumentParser, ways: Sequence[str], models: Sequence[str] = ()
+) -> None:
     """Add the options of a study that weighs moments, or reads the table of one that did."""
-    add_moments(parser, ways)
+    add_moment_options(parser, ways)
     parser.add_argument("--rows", type=whole(100), default=6000, help="new transitions [6000]")
     if models:
         known = ", ".join(f"'{name}'" for name in models)
@@ -109,16 +111,16 @@ def add_measuring(parser: ArgumentParser, ways: Sequence[str], models: Sequence[
     )  # fmt: skip
 
 
-def measured(args: Namespace, models: Sequence[str] = ()) -> list[Row]:
+def outcomes_of(args: Namespace, models: Sequence[str] = ()) -> list[Row]:
     """The outcome of every case, or those of an earlier report, to the bit.
 
     Raises UserError for a table that is none, or options that have no meaning beside one.
     """
     if not args.table:
-        asked = cases(
+        requested = cases(
             chosen_runs(args), chosen_ways(args), args.seeds, args.moments, models, args.rows
         )
-        return compute(args, examined, asked, told)
+        return compute(args, examine, requested, outcome_label)
     if given := [name for name, usual in args.usual.items() if getattr(args, name) != usual]:
         raise UserError(
             "--from takes all that its file holds, as it was measured: leave out: "
@@ -139,7 +141,7 @@ def measured(args: Namespace, models: Sequence[str] = ()) -> list[Row]:
     return outcomes
 
 
-def told(one: Row) -> str:
+def outcome_label(one: Row) -> str:
     """Names an outcome in the line of progress."""
     return f"{one['recording']} at {one['step']}: {one['way']}"
 
@@ -152,7 +154,7 @@ def models_of(outcomes: Sequence[Row]) -> list[str]:
 
 def findings(
     args: Namespace,
-    said: Sequence[str],
+    sentences: Sequence[str],
     tables: Mapping[str, Sequence[Row]],
     outcomes: Sequence[Row],
     figures: Mapping[str, tuple[str, "Figure"]],
@@ -172,13 +174,13 @@ def findings(
         origin |= first or {MEASURED + key: text for key, text in old.items()}
     titles = {"summary": "Every way", "head-to-head": "Two ways at the same moments"}
     shown = {name: title for name, title in titles.items() if name in tables}
-    return Findings(said, {**tables, "moments": outcomes}, shown, figures, origin=origin)
+    return Findings(sentences, {**tables, "moments": outcomes}, shown, figures, origin=origin)
 
 
 # What is measured at a moment.
 
 
-def telling(outcomes: Sequence[Row]) -> list[Row]:
+def informative_outcomes(outcomes: Sequence[Row]) -> list[Row]:
     """The outcomes whose distance was measured and is not lost in its noise (`informative`)."""
     says = informative([one["footprint_noise"] for one in outcomes])
     both = zip(outcomes, says, strict=True)
@@ -304,22 +306,22 @@ def comparisons(
         }
 
 
-def answers(pairs: Sequence[Row], measure: str, better_at: str) -> list[str]:
+def answer_sentences(pairs: Sequence[Row], measure: str, better_at: str) -> list[str]:
     """The rows of `comparisons` in words, a sentence for each question."""
-    said: dict[tuple[str, str], list[str]] = {}
+    comparisons_of: dict[tuple[str, str], list[str]] = {}
     for row in pairs:
-        said.setdefault((row["way"], row["against"]), []).append(
-            f"{row.get('model', '')} {spanned(row, measure)} ({better_at} {row[better_at]} of "
-            f"{row['n']} moments, most of them on {row['better on']} of {row['recordings']} "
+        comparisons_of.setdefault((row["way"], row["against"]), []).append(
+            f"{row.get('model', '')} {with_interval(row, measure)} ({better_at} {row[better_at]} "
+            f"of {row['n']} moments, most of them on {row['better on']} of {row['recordings']} "
             f"recordings, sign test p = {row['p']:.2f})".lstrip()
         )
     return [
-        f"{QUESTIONS[way, against]} {measure} of {way} and {against}: {'; '.join(told)}."
-        for (way, against), told in said.items()
+        f"{QUESTIONS[way, against]} {measure} of {way} and {against}: {'; '.join(sentences)}."
+        for (way, against), sentences in comparisons_of.items()
     ]
 
 
-def spanned(row: Row, name: str) -> str:
+def with_interval(row: Row, name: str) -> str:
     """The number of a row with its interval, in words."""
     bounds = f" [{row['low']:.2f}, {row['high']:.2f}]" if isfinite(row["low"]) else ""
     return f"{row[name]:.2f}{bounds}"

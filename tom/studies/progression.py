@@ -19,7 +19,7 @@ import torch
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tom.analysis.ordered_data import of_run
+from tom.analysis.ordered_data import load_run
 from tom.analysis.progression import DECILES, LATE, progression, same_profile
 from tom.analysis.weighing import Weighed, weigh
 from tom.config import RunConfig, TomConfig
@@ -34,7 +34,7 @@ from tom.studies.study import (
     Findings,
     Row,
     add_recordings,
-    as_the_paper_says,
+    agreement_with_paper,
     check,
     compute,
     recordings,
@@ -154,7 +154,7 @@ class Result:
 def result(case: Case) -> Result:
     """Weigh the recording of `case`; not by PMAC for the random policy, as it uses no policy."""
     run = RunReader(case.recording)
-    known, data = task(run.env), of_run(run)
+    known, data = task(run.env), load_run(run)
     policy, learners = read_policy(run.path / NAME), ("tom", "pmac")
     config = RunConfig(env=run.env, learner="tom", tom=TomConfig.preset(case.preset))
     order = np.arange(len(data))
@@ -164,17 +164,17 @@ def result(case: Case) -> Result:
         order = np.random.default_rng(0).permutation(len(data))
     rows = replace(data, transitions=data.transitions[torch.from_numpy(order)])
     found = weigh(rows, policy, known, config, learners, case.seeds)
-    weighed = tuple(in_order(one, order) for one in found)
+    weighed = tuple(undo_shuffle(one, order) for one in found)
     name = f"{run.env}-s{run.seed}"
     return Result(name, run.env, data.ordered_from, case.condition, case.preset, weighed)
 
 
-def in_order(one: Weighed, order: NDArray[np.int64]) -> Weighed:
+def undo_shuffle(weighed: Weighed, order: NDArray[np.int64]) -> Weighed:
     """The weights of shuffled rows in the order of collection: row i belongs to row order[i]."""
     back = np.argsort(order)
-    ratio = None if one.log_ratio is None else one.log_ratio[back]
-    terms = {name: term[back] for name, term in one.terms.items()}
-    return replace(one, weights=one.weights[back], log_ratio=ratio, terms=terms)
+    ratio = None if weighed.log_ratio is None else weighed.log_ratio[back]
+    terms = {name: term[back] for name, term in weighed.terms.items()}
+    return replace(weighed, weights=weighed.weights[back], log_ratio=ratio, terms=terms)
 
 
 def checks(done: Sequence[Result]) -> list[Row]:
@@ -239,7 +239,7 @@ def verdict(found: Sequence[Row]) -> list[str]:
             said.append(
                 f"TOM's weights {what} in {held} of {len(values)} recordings "
                 f"({', '.join(f'{value:.3g}' for value in values)}): "
-                f"{as_the_paper_says(held, len(values))}"
+                f"{agreement_with_paper(held, len(values))}"
             )
     return said
 

@@ -15,7 +15,7 @@ from matplotlib.ticker import EngFormatter
 
 from tom.analysis.curves import aggregate
 from tom.analysis.scores import BEST, FINAL, HEIGHT
-from tom.analysis.settings import unlike
+from tom.analysis.settings import differing_settings
 from tom.analysis.statistics import RANKED, remark
 from tom.envs import ENVS, task
 from tom.errors import UserError
@@ -182,7 +182,7 @@ def verdict(cells: Sequence[Cell]) -> list[str]:
                 f"{env}: compared at step {step:.0f} of {longest:.0f}, the last that all runs "
                 "reach."
             )
-        if paths := unlike([run for cell in here for run in cell.runs]):
+        if paths := differing_settings([run for cell in here for run in cell.runs]):
             said.append(
                 f"{env}: the learners' runs differ in more than learner, seed and steps "
                 f"({', '.join(paths)}), so returns may differ by these settings."

@@ -17,7 +17,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.analysis.curves import Curve, curve_points
-from tom.analysis.scores import BEST, begun, common_start, common_step, scores_of
+from tom.analysis.scores import BEST, all_have_started, common_start, common_step, scores_of
 from tom.analysis.settings import changed, kinds_of
 from tom.envs import ENVS, ROAD, task_rank
 from tom.learners import LEARNERS, learner_rank
@@ -99,7 +99,7 @@ def select(
     """
     cells, left_out = all_cells(runs, presets, at or {}, apart)
     cells = [cell for cell in cells if groups is None or cell.label in groups]
-    late = [cell for cell in compared(cells) if not begun(cell.curves, cell.at)]
+    late = [cell for cell in compared(cells) if not all_have_started(cell.curves, cell.at)]
     left_out += [run.run_id for cell in late for run in cell.runs]
     gone = {(cell.env, cell.label) for cell in late}
     return compared([cell for cell in cells if (cell.env, cell.label) not in gone]), left_out

@@ -15,8 +15,13 @@ from tom.analysis.scores import (
     interval,
     steps_to,
 )
-from tom.analysis.settings import changed, matters, unlike
-from tom.analysis.statistics import corrected, exchangeable, probability_of_improvement, remark
+from tom.analysis.settings import affects_results, changed, differing_settings
+from tom.analysis.statistics import (
+    corrected,
+    exchangeable,
+    probability_of_improvement,
+    remark,
+)
 from tom.envs import task
 from tom.exams import informative
 from tom.learners import LEARNERS
@@ -228,7 +233,9 @@ def _designs(cells: Sequence[Cell]) -> list[tuple[Cell, Cell, Cell, Cell]]:
             cell
             for cell in here
             if cell.learner == RIVAL
-            and not any(matters(p, RIVAL) for p in unlike([cell.runs[0], both.runs[0]]))
+            and not any(
+                affects_results(p, RIVAL) for p in differing_settings([cell.runs[0], both.runs[0]])
+            )
         ]
         if model and starts and neither:
             found.append((both, model[0], starts[0], neither[0]))

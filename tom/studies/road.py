@@ -31,7 +31,7 @@ from tom.studies.study import (
     Findings,
     Row,
     add_jobs,
-    as_the_paper_says,
+    agreement_with_paper,
     check,
     compute,
 )
@@ -102,7 +102,7 @@ def find(args: Namespace) -> Findings:
     ]
     told = compute(
         args,
-        tell,
+        run_case,
         [*main, *swept],
         lambda story: "{name} seed {seed} turn {turn:g}".format(**story.outcome),
     )
@@ -152,7 +152,7 @@ def cases(kinds: Kinds, seeds: Sequence[int]) -> list[Case]:
 
 
 @dataclass(frozen=True)
-class Story:
+class CaseResult:
     """An outcome with the curve of returns and the weights."""
 
     outcome: Row
@@ -161,7 +161,7 @@ class Story:
     weights: NDArray[np.float32]  # (N,)
 
 
-def tell(case: Case) -> Story:
+def run_case(case: Case) -> CaseResult:
     """Run a case.
 
     What was not measured is NaN: SAC if it was left out, and the planner of a learner that follows
@@ -189,7 +189,9 @@ def tell(case: Case) -> Story:
     if follows_value(case.config.learner):
         outcome |= {"planner_return": nan, "planner_success": nan}
     sac = sac if case.optimise else (nan, nan)
-    return Story(outcome | {"sac_return": sac[0], "sac_success": sac[1]}, curve, places, weights)
+    return CaseResult(
+        outcome | {"sac_return": sac[0], "sac_success": sac[1]}, curve, places, weights
+    )
 
 
 def _named(outcomes: Sequence[Row], name: str) -> list[Row]:
@@ -272,7 +274,7 @@ def verdict(outcomes: Sequence[Row], sweep: Sequence[Row]) -> list[str]:
         above = sum(t[quantity] > m[quantity] for t, m in zip(tom, mle, strict=True))
         said.append(
             f"TOM's {what} on {above} of {len(tom)} seeds (median {_median(tom, quantity):.2f} "
-            f"against {_median(mle, quantity):.2f}): {as_the_paper_says(above, len(tom))}"
+            f"against {_median(mle, quantity):.2f}): {agreement_with_paper(above, len(tom))}"
         )
     simpler = [
         name
@@ -297,14 +299,14 @@ def verdict(outcomes: Sequence[Row], sweep: Sequence[Row]) -> list[str]:
     return said
 
 
-def _returns(stories: Sequence[Story]) -> Iterator[Row]:
+def _returns(stories: Sequence[CaseResult]) -> Iterator[Row]:
     for story in stories:
         of = {"name": story.outcome["name"], "seed": story.outcome["seed"]}
         for step, value in story.returns:
             yield {**of, "step": step, "return": value}
 
 
-def return_figure(stories: Sequence[Story]) -> Figure:
+def return_figure(stories: Sequence[CaseResult]) -> Figure:
     """Return against steps of policy optimisation in the model."""
     drawn = {}
     for name, (learner, label) in LEARNERS.items():
@@ -339,7 +341,7 @@ def _curves(drawn: Mapping[str, tuple[str, Array, Array]], x_label: str, y_label
     return figure
 
 
-def weight_figure(drawn: Mapping[str, Story]) -> Figure:
+def weight_figure(drawn: Mapping[str, CaseResult]) -> Figure:
     """Mean weight in each cell of the map, a panel for each learner."""
     figure = new_figure(3.1 * len(drawn) + 0.6, 3.3)
     axes = figure.subplots(1, len(drawn), squeeze=False)[0]
@@ -355,7 +357,7 @@ def weight_figure(drawn: Mapping[str, Story]) -> Figure:
     return figure
 
 
-def weight_rows(drawn: Mapping[str, Story]) -> Iterator[Row]:
+def weight_rows(drawn: Mapping[str, CaseResult]) -> Iterator[Row]:
     """The drawn data: one row per learner and cell with transitions."""
     for label, story in drawn.items():
         mean, count = _cells(story)
@@ -370,7 +372,7 @@ def weight_rows(drawn: Mapping[str, Story]) -> Iterator[Row]:
             }
 
 
-def _cells(story: Story) -> tuple[Array, Array]:
+def _cells(story: CaseResult) -> tuple[Array, Array]:
     """Mean weight (NaN for empty cells) and number of transitions; (x, y), (CELLS, CELLS) each."""
     x, y = story.places.T
     total = np.histogram2d(x, y, [EDGES, EDGES], weights=story.weights)[0]

@@ -33,9 +33,9 @@ from numpy.dtypes import Float32DType, Float64DType, Int64DType
 from tom import plugins
 from tom.config import SacRecordingConfig
 from tom.data.unpack import DAMAGE
-from tom.envs import bring, brought, task
-from tom.envs.termination import bring_rule, brought_rules
-from tom.envs.user_code import users_code
+from tom.envs import import_task, imported_tasks, task
+from tom.envs.termination import import_rule, imported_rules
+from tom.envs.user_code import user_code_paths
 from tom.errors import UserError, check_known
 from tom.learners import LEARNERS
 from tom.machine.matmul import choose_matmul
@@ -115,11 +115,11 @@ def tasks(names: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(task(name).name for name in names))
 
 
-def as_the_paper_says(held: int, of: int) -> str:
+def agreement_with_paper(held: int, total: int) -> str:
     """The end of a sentence that counts where a claim of the paper held."""
-    if held == of:
+    if held == total:
         return "as the paper says."
-    return "mostly as the paper says." if 2 * held > of else "the paper says otherwise."
+    return "mostly as the paper says." if 2 * held > total else "the paper says otherwise."
 
 
 def make_folder(path: Path) -> None:
@@ -154,7 +154,7 @@ def recordings(args: Namespace, seeds: list[int] | None = None) -> list[RunReade
     store, found, lacking = Store(args.store), list[RunReader](), []
     for env in tasks(args.env):
         for seed in seeds or SAC_SEEDS.get(env, (0,)):
-            run = recorded(store, SacRecordingConfig(env=env, seed=seed, steps=args.steps))
+            run = find_recording(store, SacRecordingConfig(env=env, seed=seed, steps=args.steps))
             if run is None:
                 lacking.append(f"tom record-sac --env {env} --steps {args.steps} --seed {seed}")
             else:
@@ -164,7 +164,7 @@ def recordings(args: Namespace, seeds: list[int] | None = None) -> list[RunReade
     return found
 
 
-def recorded(store: Store, config: SacRecordingConfig) -> RunReader | None:
+def find_recording(store: Store, config: SacRecordingConfig) -> RunReader | None:
     """The newest finished recording with these settings, as far as it has them, or None."""
     counted = {"env", "seed", "steps", "exploration_steps", "updates_per_step", "sac"}
     ours = in_words(config.model_dump(mode="json", include=counted)).items()
@@ -198,33 +198,33 @@ def compute(
     args: Namespace,
     work: Callable[[Case], Outcome],
     cases: Sequence[Case],
-    told: Callable[[Outcome], str],
+    label: Callable[[Outcome], str],
 ) -> list[Outcome]:
     """`work(case)` of every case in order, `args.jobs` at a time, in single-threaded processes.
 
     `work` is a module's function with an annotated return type, made of primitives, dicts,
     arrays and dataclasses; `repr(case)` must determine the outcome. Finished outcomes are stored in
-    `args.out/cases` at once, and the next call reads them; `told` names one to the user. Running
+    `args.out/cases` at once, and the next call reads them; `label` names one to the user. Running
     processes end when the caller stops or is killed.
     """
     make_folder(folder := args.out / FOLDER)
     code = code_hash()
-    asked = (f"{work.__module__}.{work.__qualname__} {case!r} {code}" for case in cases)
-    paths = [folder / f"{sha256(one.encode()).hexdigest()[:20]}.pt" for one in asked]
+    keys = (f"{work.__module__}.{work.__qualname__} {case!r} {code}" for case in cases)
+    paths = [folder / f"{sha256(one.encode()).hexdigest()[:20]}.pt" for one in keys]
     kind = get_type_hints(work)["return"]
-    stored = {path: load(path, kind) for path in paths}
+    stored = {path: load_outcome(path, kind) for path in paths}
     others, done = set(active_children()), list[Outcome]()
-    named = (os.getpid(), brought(), brought_rules())
-    pool = ProcessPoolExecutor(args.jobs, get_context("spawn"), _prepare, named)
+    named = (os.getpid(), imported_tasks(), imported_rules())
+    pool = ProcessPoolExecutor(args.jobs, get_context("spawn"), _initialise_worker, named)
     try:
         ahead = {
-            path: pool.submit(_keep, work, case, path)
+            path: pool.submit(_compute_and_save, work, case, path)
             for path, case in zip(paths, cases, strict=True)
             if stored[path] is None
         }
         for path in paths:
             done.append(ahead[path].result() if path in ahead else stored[path])
-            say(f"{len(done)} of {len(cases)}: {told(done[-1])}")
+            say(f"{len(done)} of {len(cases)}: {label(done[-1])}")
         return done
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
@@ -236,19 +236,19 @@ def code_hash() -> str:
     """A hash of what affects an outcome besides its case: this package's files and versions, and
     the files or packages that the user named (not what these import in turn)."""
     digest = sha256(repr(versions()).encode())
-    for root in (Path(__file__).parents[1], *users_code()):
+    for root in (Path(__file__).parents[1], *user_code_paths()):
         for path in sorted(root.rglob("*.py")) if root.is_dir() else [root]:
             digest.update(path.relative_to(root.parent).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()
 
 
-def _keep(work: Callable[[Case], Outcome], case: Case, path: Path) -> Outcome:
+def _compute_and_save(work: Callable[[Case], Outcome], case: Case, path: Path) -> Outcome:
     outcome = work(case)
-    save(outcome, path)
+    save_outcome(outcome, path)
     return outcome
 
 
-def _prepare(parent: int, tasks: Sequence[str], rules: Sequence[str]) -> None:
+def _initialise_worker(parent: int, tasks: Sequence[str], rules: Sequence[str]) -> None:
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller handles Ctrl-C and ends this process
     if os.getppid() != parent:
@@ -259,33 +259,33 @@ def _prepare(parent: int, tasks: Sequence[str], rules: Sequence[str]) -> None:
         plugins.load()
     for name in tasks:
         with suppress(UserError):
-            bring(name)
+            import_task(name)
     for name in rules:
         with suppress(UserError):
-            bring_rule(name)
+            import_rule(name)
 
 
-def save(outcome: object, path: Path) -> None:
+def save_outcome(outcome: object, path: Path) -> None:
     """Write an outcome atomically: primitives, dicts, arrays and dataclasses of them."""
     replace(path, lambda file: torch.save(outcome, file), sync=True)
 
 
-def load(path: Path, kind: type) -> Any:
+def load_outcome(path: Path, kind: type) -> Any:
     """The outcome of type `kind` at `path`, read without executing code from the file; None if it
     cannot be read."""
     try:
-        with torch.serialization.safe_globals([*ARRAYS, *classes(kind)]):
+        with torch.serialization.safe_globals([*ARRAYS, *dataclasses_of(kind)]):
             return torch.load(path, weights_only=True)
     except (*DAMAGE, pickle.UnpicklingError):
         return None
 
 
-def classes(kind: Any) -> Iterator[type]:
+def dataclasses_of(kind: Any) -> Iterator[type]:
     """The dataclass `kind` and those among its fields, at any depth."""
     for part in get_args(kind):
-        yield from classes(part)
+        yield from dataclasses_of(part)
     if isinstance(kind, type) and is_dataclass(kind):
         yield kind
         hints = get_type_hints(kind)
         for field in fields(kind):
-            yield from classes(hints[field.name])
+            yield from dataclasses_of(hints[field.name])

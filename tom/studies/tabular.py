@@ -80,7 +80,7 @@ def find(args: Namespace) -> Findings:
     every = compute(
         args,
         estimate,
-        _asked(args.seeds, args.variant_seeds),
+        _all_cases(args.seeds, args.variant_seeds),
         lambda one: f"{one.row['variant']}, MDP {one.row['seed']}",
     )
     same = [one.row for one in every if one.row["same_policy"]]
@@ -106,7 +106,7 @@ def find(args: Namespace) -> Findings:
     )
 
 
-def _asked(seeds: Sequence[int], fewer: Sequence[int]) -> list[tuple[Case, Variant]]:
+def _all_cases(seeds: Sequence[int], fewer: Sequence[int]) -> list[tuple[Case, Variant]]:
     """Every case with its variant; those of the acceptance come first, with all seeds."""
     judged, ends = cases(seeds), ending_cases(seeds, "stationary")
     asked = [(case, JUDGED) for case in judged]

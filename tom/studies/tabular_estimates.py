@@ -183,9 +183,9 @@ class Estimate:
     estimated: Array  # mean estimated weight of each transition (R,); NaN if it was not drawn
 
 
-def estimate(asked: tuple[Case, Variant]) -> Estimate:
+def estimate(task: tuple[Case, Variant]) -> Estimate:
     """Draw the case's buffers, estimate their weights and compare them with the exact ones."""
-    case, variant = asked
+    case, variant = task
     rng = np.random.default_rng(case.seed)
     mdp, target, behaviour = draw(case, rng)
 

@@ -90,7 +90,7 @@ class BucketBackend(FolderBackend, AbstractContextManager["BucketBackend", None]
         begins = claimed is not None and (attempt is None or claimed > attempt)
         status = RunReader(path).status
         runs = claimed is not None and claimed == attempt and status.state == "running"
-        self._see(run_id, (claimed, status) if begins or runs else None)
+        self._note_sign(run_id, (claimed, status) if begins or runs else None)
 
     def command(self, run_id: str, options: Sequence[str]) -> list[str]:
         return ["tom.sweep.bucket", self._bucket.url, self._own, run_id, *options]

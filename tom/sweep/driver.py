@@ -75,7 +75,7 @@ class FolderBackend:
         if lock.held(run.path):  # a shared file system may also show another machine's lock
             return "away" if here is False else "here"
         status = run.status
-        self._see(run.run_id, status if status.state == "running" and here is False else None)
+        self._note_sign(run.run_id, status if status.state == "running" and here is False else None)
         return "away" if self._leased(run.run_id) else None
 
     def ended(self, run_id: str) -> None:
@@ -88,7 +88,7 @@ class FolderBackend:
         """Keep the log of a failed training; returns its place after the end of the sweep."""
         return str(log)
 
-    def _see(self, run_id: str, sign: object) -> None:
+    def _note_sign(self, run_id: str, sign: object) -> None:
         if run_id not in self._seen or self._seen[run_id][0] != sign:
             self._seen[run_id] = (sign, self._clock())
 
@@ -182,9 +182,9 @@ class Driver:
             if process.poll() is not None:
                 with suppress(OSError):  # out of reach: others wait until nothing is seen of it
                     self.backend.ended(job.run_id)
-        self.let_go()
+        self.detach()
 
-    def let_go(self) -> None:
+    def detach(self) -> None:
         """Take the final state of every running training from its run, not from its process."""
         for job in self.jobs:
             if job.process is None:
@@ -209,7 +209,7 @@ class Driver:
             elif not self._is_written(job):
                 job.state = "waiting"
                 if job.attempts:  # it is ours that was the last to write it
-                    self._again(job)
+                    self._retry(job)
         if job.state != "waiting" or self.full or time.monotonic() < job.not_before:
             return
         written = [one for one in self.jobs if one.state in ("running", "elsewhere")]
@@ -224,7 +224,7 @@ class Driver:
         if self._is_written(job):
             job.note = "another process is writing it, or was a moment ago"
             return
-        saved = self._saved(job)
+        saved = self._checkpoint_step(job)
         if saved < 0 and job.run_id != job.trial.run_id:
             job.run_id = job.trial.run_id  # it cannot go on; what has the own name perhaps can
             self._start(job)
@@ -240,7 +240,7 @@ class Driver:
             job.state, job.away = "running", False
         except OSError as error:
             job.note = str(error)
-            self._again(job)
+            self._retry(job)
 
     def _ended(self, job: Job, code: int) -> None:
         self.backend.ended(job.run_id)
@@ -255,11 +255,11 @@ class Driver:
         elif code in (FAILED, BAD_INPUT) and not self._is_full():
             job.state = "failed"
         elif not self._is_written(job):
-            self._again(job)
+            self._retry(job)
 
-    def _again(self, job: Job) -> None:
+    def _retry(self, job: Job) -> None:
         """Try a training again later, or give it up if that has not helped."""
-        if self._is_full() or self._saved(job) > job.step:
+        if self._is_full() or self._checkpoint_step(job) > job.step:
             job.attempts = 0
         job.state = "failed" if job.attempts >= ATTEMPTS else "waiting"
         job.not_before = time.monotonic() + self.back_off_s * 2 ** max(job.attempts - 1, 0)
@@ -281,7 +281,7 @@ class Driver:
         except OSError:  # missing or out of reach: the start of a training will show it
             return False
 
-    def _saved(self, job: Job) -> int:
+    def _checkpoint_step(self, job: Job) -> int:
         """The step of its newest checkpoint; -1 if it has none."""
         at = checkpoint.newest(self.store.path / job.run_id / checkpoint.FOLDER)
         return -1 if at is None else at

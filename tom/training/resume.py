@@ -31,7 +31,7 @@ from tom.training.run import (
 )
 from tom.training.watch import Watch
 
-UNFIT = (LookupError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError)
+STATE_ERRORS = (LookupError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError)
 """errors that loading the state of another kind of training may raise"""
 
 
@@ -95,7 +95,7 @@ def resume(
     return RunReader(writer.path)
 
 
-def unfinished(store: Store, config: AnyConfig, *, run_id: str | None = None) -> str | None:
+def find_unfinished(store: Store, config: AnyConfig, *, run_id: str | None = None) -> str | None:
     """The newest resumable run with these settings, or with fewer steps.
 
     Runs that are being written, and those without an undamaged checkpoint, are skipped. A `run_id`
@@ -229,7 +229,7 @@ def _restore(
         training.load_state_dict(saved.state["training"], collected)
         watch.load_state_dict(saved.state["watch"])
         return saved.state["record"]
-    except UNFIT as error:
+    except STATE_ERRORS as error:
         raise StartAgainError(
             f"the checkpoint of run '{reader.run_id}' at step {saved.env_step} is another "
             f"version's ({type(error).__name__}: {reason(error)}): start it again"

@@ -115,7 +115,7 @@ def record(
     writer = recorder.writer
     every, total = writer.config.checkpoint_every, writer.config.total_steps
     watchers, stop = list(options.get("watchers", ())), options.get("stop")
-    for event in chain(before, watch.over(training.events())):
+    for event in chain(before, watch.checked(training.events())):
         recorder.consume(event)
         for watcher in tuple(watchers):
             try:

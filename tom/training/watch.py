@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from tom.config import OnlineConfig, RunConfig, SacRecordingConfig
-from tom.data.card import FEW_ROWS, Card, dims, take, with_rule
+from tom.data.card import FEW_ROWS, Card, dimension_list, make_card, with_rule
 from tom.data.replay import ReplayBuffer
 from tom.envs import task
 from tom.envs.termination import learns_ends, rule
@@ -37,7 +37,7 @@ class Watch:
         self._short = 0  # episodes of one step in a row
         self._checked = 0  # rows of the last card
 
-    def over(self, events: Iterable[Event]) -> Iterator[Event]:
+    def checked(self, events: Iterable[Event]) -> Iterator[Event]:
         """The events, each followed by its notices. Raises DivergedError."""
         if self._replay is not None:
             for code, text in task(self._config.env).notices:
@@ -81,7 +81,7 @@ class Watch:
             return
         self._checked = len(self._replay)
         rows, known = self._replay.transitions(), task(self._config.env)
-        card = replace(take(rows), task=known.name, limit=known.max_episode_steps)
+        card = replace(make_card(rows), task=known.name, limit=known.max_episode_steps)
         own_rule = getattr(getattr(self._config, "model", None), "termination", None)
         if not learns_ends(known, own_rule):
             name = own_rule or f"of {known.name}"
@@ -136,8 +136,8 @@ def _constant(card: Card) -> str:
     if not still.any() or still.all():
         return ""
     return (
-        f"observation {dims(still)} of {len(still)} never changed: nothing can be learnt from it; "
-        "leave out what does not change"
+        f"observation {dimension_list(still)} of {len(still)} never changed: nothing can be learnt "
+        "from it; leave out what does not change"
     )
 
 

@@ -56,7 +56,7 @@ class View(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Drawn:
+class FigureJson:
     """A figure as the browser gets it, which a page may keep."""
 
     json: str
@@ -68,7 +68,7 @@ class Drawn:
 
 
 def chart(
-    figure: go.Figure | Drawn,
+    figure: go.Figure | FigureJson,
     key: str,
     label: str,
     clicked: Callable[[Point], None] | None = None,
@@ -91,7 +91,7 @@ def chart(
     that part of the page draw first.
     """
 
-    drawn = figure if isinstance(figure, Drawn) else Drawn.of(figure)
+    drawn = figure if isinstance(figure, FigureJson) else FigureJson.of(figure)
     data = {
         "figure": drawn.json,
         "library": LIBRARY_PATH,

@@ -23,7 +23,7 @@ Number = tuple[str, Sequence[str], str]
 """a label, the number's text at each step, and what it is"""
 
 
-def chosen(stops: Sequence[int]) -> int:
+def chosen_step(stops: Sequence[int]) -> int:
     """The step that the user or the address has chosen, else the last of `stops`, which grow.
 
     It is one of `stops` (ascending, at least one): the last that is not after what was asked for.
@@ -31,7 +31,7 @@ def chosen(stops: Sequence[int]) -> int:
     asked = address.value_of(STEP, address.whole_number)
     before = [stop for stop in stops if asked is None or stop <= asked]
     step = before[-1] if before else stops[0]
-    address.keep(STEP, [] if step == stops[-1] else [str(step)])
+    address.write(STEP, [] if step == stops[-1] else [str(step)])
     return step
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from app.data import buffer, readers
 from app.data.buffer import WINDOW, poses, windows
-from app.data.called import names
+from app.data.run_names import full_names
 from app.figures.base import OCTAVES
 from app.theme import (
     BACKGROUND,
@@ -42,9 +42,9 @@ from tom.spread import spread
 SECONDS = 60.0
 WIDTH, HEIGHT = 1280, 720
 SPEED = 0.25
-APART = 0.75
+GHOST_DISTANCE = 0.75
 """metres between two robots"""
-AS_IT_IS = "x1"
+UNCHANGED = "x1"
 FITS = 240
 """maximum number of fits: four per second of a minute"""
 POINTS, ROBOTS = 2500, 56
@@ -53,9 +53,9 @@ EVERY = 2
 """steps from one frame of a moment or an evaluation to the next"""
 EPISODES, FRAMES = 12, 150
 """maximum number of shown evaluations, and of frames of each"""
-MOST = 32_767
+MAX_MILLIMETRES = 32_767
 """millimetres; the largest number of 16 bits"""
-_NOTHING = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
+_CONTENT_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
 """the Content-Security-Policy: no external resources"""
 
 
@@ -64,33 +64,35 @@ def story(run: RunReader) -> dict[str, Any]:
     profiles = readers.profiles(run)
     if len(profiles.env_step) < 2:
         raise UserError("a story needs at least two model fits, and this run has kept fewer")
-    recorded, _, state, _ = buffer.with_states(run)
+    recorded, _, state, _ = buffer.recorded_with_states(run)
     if not len(recorded):
         raise UserError(
             "its buffer is missing, so neither robots nor the buffer's map can be drawn"
         )
-    known, model = task_of(run), scene_of(run)
+    task, model = task_of(run), scene_of(run)
     if model is None:
         raise UserError(f"there is no robot to draw in {run.env}")
     fits = spread(len(profiles.env_step), FITS)
     rows = recorded[: int(profiles.env_step[-1])]
     step, value = curve_points(readers.metrics(run), "eval/return")
     return {
-        "title": names([run])[run.run_id],
+        "title": full_names([run])[run.run_id],
         "steps": profiles.env_step[fits].tolist(),
         "count": profiles.count[fits].tolist(),
         "ess": np.round(profiles.ess[fits], 4).tolist(),
         "bins": profiles.bins.shape[1],
-        "weights": packed(np.log2(np.maximum(profiles.bins[fits], 2.0**-9)).astype(np.float32)),
+        "weights": base64_numbers(
+            np.log2(np.maximum(profiles.bins[fits], 2.0**-9)).astype(np.float32)
+        ),
         "returns": {"step": np.asarray(step).tolist(), "value": np.round(value, 2).tolist()},
         "cloud": _cloud(rows),
-        "crowd": _crowd(known, model, rows, state),
-        "policy": _policy(known, model, readers.reader(run)),
+        "crowd": _crowd(task, model, rows, state),
+        "policy": _policy(task, model, readers.fresh_reader(run)),
         "dt": model.dt,
     }
 
 
-def may_be_told(run: RunReader) -> bool:
+def has_story(run: RunReader) -> bool:
     """Whether the run has the parts of a story, as far as is known without reading them."""
     return run.env != ROAD and readers.has_profiles(run) and buffer.has_rows(run)
 
@@ -106,29 +108,33 @@ def _cloud(rows: Transitions) -> dict[str, Any]:
         low, high = np.quantile(x, [0.003, 0.997])
         return np.clip((x[index] - low) / max(high - low, 1e-9), 0, 1).astype(np.float32)
 
-    return {"row": packed(index.astype(np.int32)), "x": packed(unit(x)), "y": packed(unit(y))}
+    return {
+        "row": base64_numbers(index.astype(np.int32)),
+        "x": base64_numbers(unit(x)),
+        "y": base64_numbers(unit(y)),
+    }
 
 
 def _crowd(
-    known: Task, model: Model, rows: Transitions, state: dict[str, NDArray]
+    task: Task, model: Model, rows: Transitions, state: dict[str, NDArray]
 ) -> dict[str, Any]:
     """Robots in evenly chosen states of the buffer, each moving through its window of steps."""
     index = spread(len(rows), ROBOTS)
     state = {name: of[: len(rows)] for name, of in state.items()}
-    qpos = poses(known, rows, state, windows(rows.ended(), index.tolist()))[:, ::EVERY]
+    qpos = poses(task, rows, state, windows(rows.ended(), index.tolist()))[:, ::EVERY]
     return {
         "row": index.tolist(),
         "frames": qpos.shape[1],
         "now": WINDOW // EVERY,
         "every": EVERY,
-        **body(model, qpos.reshape(-1, qpos.shape[-1])),
+        **robot_shapes(model, qpos.reshape(-1, qpos.shape[-1])),
     }
 
 
-def _policy(known: Task, model: Model, reader: RunReader) -> list[dict[str, Any]]:
+def _policy(task: Task, model: Model, reader: RunReader) -> list[dict[str, Any]]:
     """Evaluation episodes during the run, which show the progress of the policy."""
     kept = np.array(reader.evaluation_steps(), np.int64)
-    told = []
+    shown = []
     for step in kept[spread(len(kept), EPISODES)].tolist():
         episodes = [e for e in reader.episodes(step) if e.qpos is not None and e.length]
         if not episodes:
@@ -138,11 +144,11 @@ def _policy(known: Task, model: Model, reader: RunReader) -> list[dict[str, Any]
         assert middle.qpos is not None
         about = {"step": step, "return": round(middle.undiscounted_return, 1), "every": EVERY}
         qpos = middle.qpos[: EVERY * FRAMES : EVERY]
-        told.append(about | travelling(known, model, qpos))
-    return told
+        shown.append(about | moving_robot(task, model, qpos))
+    return shown
 
 
-def body(model: Model, qpos: NDArray) -> dict[str, Any]:
+def robot_shapes(model: Model, qpos: NDArray) -> dict[str, Any]:
     """A MuJoCo task's robot at joint positions (H, nq), as JSON; the floor is at height 0.
 
     Its G parts are drawn as thick lines: a radius (G,) and ends (H, G, 2, 3), in a ball's centre.
@@ -163,26 +169,26 @@ def body(model: Model, qpos: NDArray) -> dict[str, Any]:
     return {
         "radius": _millimetres(radius).tolist(),
         "shape": list(ends.shape[:2]),
-        "ends": packed(_millimetres(ends)),
+        "ends": base64_numbers(_millimetres(ends)),
     }
 
 
-def travelling(known: Task, model: Model, qpos: NDArray) -> dict[str, Any]:
+def moving_robot(task: Task, model: Model, qpos: NDArray) -> dict[str, Any]:
     """A robot over the origin, and how far it is from there in each frame, metres."""
-    roots = known.root_dims or 0
+    roots = task.root_dims or 0
     place, standing = qpos[:, 0] * bool(roots), qpos.copy()
     standing[:, :roots] = 0
-    return {"place": np.round(place, 3).tolist(), **body(model, standing)}
+    return {"place": np.round(place, 3).tolist(), **robot_shapes(model, standing)}
 
 
-def packed(numbers: NDArray) -> str:
+def base64_numbers(numbers: NDArray) -> str:
     """Numbers as base64, little-endian, with their own bit width."""
     little = numbers.astype(numbers.dtype.newbyteorder("<"), copy=False)
     return base64.b64encode(np.ascontiguousarray(little).tobytes()).decode()
 
 
 def _millimetres(metres: NDArray) -> NDArray[np.int16]:
-    return np.clip(np.round(1000 * metres), -MOST, MOST).astype(np.int16)
+    return np.clip(np.round(1000 * metres), -MAX_MILLIMETRES, MAX_MILLIMETRES).astype(np.int16)
 
 
 def cinema(story: dict[str, Any], learner: str, mode: Mode, seconds: float = SECONDS) -> str:
@@ -190,9 +196,9 @@ def cinema(story: dict[str, Any], learner: str, mode: Mode, seconds: float = SEC
     return document(story["title"], "cinema.js", {**story, "seconds": seconds}, learner, mode)
 
 
-def document(title: str, script: str, told: dict[str, Any], learner: str, mode: Mode) -> str:
+def document(title: str, script: str, data: dict[str, Any], learner: str, mode: Mode) -> str:
     """One self-contained HTML page: the canvas, its controls, the scripts and their data."""
-    look = {
+    colours = {
         "background": BACKGROUND[mode],
         "surface": SURFACE[mode],
         "text": TEXT[mode],
@@ -202,16 +208,16 @@ def document(title: str, script: str, told: dict[str, Any], learner: str, mode: 
         "points": COLUMNS[mode],
         "octaves": OCTAVES,
     }
-    told = {**told, "mode": mode, "look": look}
+    data = {**data, "mode": mode, "look": colours}
     style, *scripts = (
         Path(__file__).with_name(name).read_text()
         for name in ("film.css", "canvas.js", "mp4.js", script)
     )
     # Escape characters that would end a script element or begin a comment in it.
-    data = json.dumps(told, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    json_text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return (
         f'<!doctype html><html lang="en" data-mode="{mode}"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_NOTHING}">'
+        f'<meta http-equiv="Content-Security-Policy" content="{_CONTENT_POLICY}">'
         '<meta name="viewport" content="width=device-width">'
         f"<title>{html.escape(title)}</title><style>{style}</style></head><body>"
         f'<canvas width="{WIDTH}" height="{HEIGHT}" role="img" '
@@ -219,13 +225,13 @@ def document(title: str, script: str, told: dict[str, Any], learner: str, mode: 
         '<div class="controls"><button type="button" aria-label="play or pause">▶</button>'
         '<input type="range" min="0" max="1" step="any" value="0" aria-label="time">'
         '<button type="button" class="save" hidden title="save the film as MP4">MP4</button></div>'
-        "<script>" + "\n".join((f"const TOLD = {data};", *scripts)) + "</script></body></html>"
+        "<script>" + "\n".join((f"const TOLD = {json_text};", *scripts)) + "</script></body></html>"
     )
 
 
-def ghosts(
-    drawn: tuple[Task, Model],
-    kept: dict[str, NDArray],
+def ghost_film(
+    robot: tuple[Task, Model],
+    arrays: dict[str, NDArray],
     factor: float,
     name: str,
     learner: str,
@@ -237,13 +243,13 @@ def ghosts(
     the brushed model.
     """
     robots = [
-        {"name": called, "colour": colour, "shift": shift, "alpha": alpha}
-        | travelling(*drawn, kept[which])
-        for which, called, colour, shift, alpha in (
+        {"name": label, "colour": colour, "shift": shift, "alpha": alpha}
+        | moving_robot(*robot, arrays[which])
+        for which, label, colour, shift, alpha in (
             ("real", "real", REAL[mode], 0.0, 1.0),
-            (AS_IT_IS, "unchanged", COLUMNS[mode][0][1], -APART, 0.8),
-            (f"x{factor:g}", name, COLUMNS[mode][2][1], APART, 0.8),
+            (UNCHANGED, "unchanged", COLUMNS[mode][0][1], -GHOST_DISTANCE, 0.8),
+            (f"x{factor:g}", name, COLUMNS[mode][2][1], GHOST_DISTANCE, 0.8),
         )
     ]
-    told = {"robots": robots, "speed": SPEED, "dt": float(kept["dt"])}
-    return document(f"Two ghosts: unchanged weights, and {name}", "ghosts.js", told, learner, mode)
+    film = {"robots": robots, "speed": SPEED, "dt": float(arrays["dt"])}
+    return document(f"Two ghosts: unchanged weights, and {name}", "ghosts.js", film, learner, mode)

@@ -9,16 +9,16 @@ import streamlit as st
 from app import session, text
 from app.data import answer, buffer, readers, road
 from app.data.answer import Answer, Side, newest_share
-from app.data.cache import made_once
-from app.data.called import task
+from app.data.cache import get_or_make
 from app.data.exams import exams_of
-from app.figures.base import across, steps_in_words
+from app.data.run_names import task_title
+from app.figures.base import horizontal_line, step_axis_title
 from app.figures.curves import group_curves
 from app.figures.road import road_map
 from app.parts import address, start, widgets
-from app.parts.plot import Drawn, chart
+from app.parts.plot import FigureJson, chart
 from app.parts.scope import Scope
-from app.parts.widgets import uniform
+from app.parts.widgets import has_uniform_learner
 from app.theme import learner_label
 from app.views.answer import numbers
 from tom.analysis import curves
@@ -41,7 +41,7 @@ ON_ROAD = ("Where does it look?", "attention", "weight on the map, of one run", 
 """the first card of road-and-rocks"""
 
 
-Chart = tuple[Drawn, str]
+Chart = tuple[FigureJson, str]
 """of a card, and the caption of its saved figure"""
 Card = tuple[Answer, Chart | None]
 
@@ -61,12 +61,14 @@ def page(scope: Scope) -> None:
     both = {one: groups[one]}
     others = [title for title in titles if title != one]
     if others:
-        usual = next((t for t in others if uniform(groups[t][0])), others[0])
+        usual = next((t for t in others if has_uniform_learner(groups[t][0])), others[0])
         other = address.choose_one(head[1].selectbox, "instead of", others, "other", usual)
         both[other] = groups[other]
     env = groups[one][0].env
-    asked = text.markdown(f"{task(env)}: does {one} look at the right data, and does that help?")
-    st.header(asked, anchor=False)
+    heading = text.markdown(
+        f"{task_title(env)}: does {one} look at the right data, and does that help?"
+    )
+    st.header(heading, anchor=False)
     _cards(scope, both)
     if env != ROAD:  # which has no exams
         behind = st.expander("The numbers behind it", key="numbers behind", on_change="rerun")
@@ -78,9 +80,9 @@ def page(scope: Scope) -> None:
 def _groups(scope: Scope) -> dict[str, list[RunReader]]:
     """The shown runs of one task that fit a model, by their group's title: weighing ones first."""
     runs = [run for run in scope.shown if run.learner != SAC_ALONE] or [
-        run for run in scope.members if run.learner != SAC_ALONE
+        run for run in scope.counted if run.learner != SAC_ALONE
     ]
-    asked = [run for run in runs if run.run_id == scope.asked]
+    asked = [run for run in runs if run.run_id == scope.chosen_id]
     groups: dict[str, list[RunReader]] = {}
     for run in runs:
         if run.env == (asked or runs)[0].env:
@@ -88,7 +90,7 @@ def _groups(scope: Scope) -> dict[str, list[RunReader]]:
     chosen = scope.title(asked[0]) if asked else ""
     order = sorted(
         (title for title in scope.order if title in groups),
-        key=lambda title: (title != chosen, uniform(groups[title][0])),
+        key=lambda title: (title != chosen, has_uniform_learner(groups[title][0])),
     )
     return {title: groups[title] for title in order}
 
@@ -100,10 +102,10 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
         (run.path, run.version("facts"), run.version("metrics"), run.version("profiles"))
         for runs in groups.values()
         for loop in runs
-        for run in dict.fromkeys((loop, readers.weighed(loop)))
+        for run in dict.fromkeys((loop, readers.first_weight_reader(loop)))
     )
-    key = tuple(groups), session.mode(), frozenset((kind, scope.looks[kind]) for kind in kinds)
-    made = made_once(("cards", *key), version, lambda: _made(scope, groups))
+    key = tuple(groups), session.mode(), frozenset((kind, scope.styles[kind]) for kind in kinds)
+    made = get_or_make(("cards", *key), version, lambda: _make_cards(scope, groups))
     grid = st.container(horizontal=True, key="cards")
     mine = next(iter(groups.values()))
     cards = (ON_ROAD, *CARDS[1:]) if mine[0].env == ROAD else CARDS
@@ -115,15 +117,15 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
                 st.caption(what)
                 figure, caption = drawn
                 chart(figure, f"answer {question}", f"{question} {what}", caption=caption)
-            st.markdown(text.linked(text.unbroken(answered.sentence)))
+            st.markdown(text.with_glossary_links(text.unbroken(answered.sentence)))
             if answered.more:
-                st.caption(text.linked(text.unbroken(answered.more)))
+                st.caption(text.with_glossary_links(text.unbroken(answered.more)))
             widgets.link_to(link, f"See it on {link.capitalize()}", run=mine[0].run_id)
 
 
-def _made(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> list[Card]:
+def _make_cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> list[Card]:
     sides = [_side(title, runs) for title, runs in groups.items()]
-    measured = zip(CARDS, _measured(scope, groups, sides), strict=True)
+    measured = zip(CARDS, _chart_groups(scope, groups, sides), strict=True)
     drawn = [_chart(scope, what, level, lines) for (_, _, what, level), lines in measured]
     mine = next(iter(groups.values()))
     if mine[0].env == ROAD and not sides[0].uniform:
@@ -143,7 +145,7 @@ def _answers(sides: Sequence[Side], mine: Sequence[RunReader]) -> tuple[Answer, 
             "Road-and-rocks learns from a fixed data set: nothing is collected after a fit. "
             "Attention shows the weights on the map.",
         )  # fmt: skip
-    if any(readers.weighed(run) is not run for run in mine):
+    if any(readers.first_weight_reader(run) is not run for run in mine):
         helps = Answer(
             "unknown", "Not asked here", "Live weights are computed alongside a training loop, "
             "which does not learn from them.", "`run.latest_weights()` would give them to it.",
@@ -158,7 +160,7 @@ def _answers(sides: Sequence[Side], mine: Sequence[RunReader]) -> tuple[Answer, 
     return where, on_policy, helps
 
 
-def _measured(
+def _chart_groups(
     scope: Scope, groups: Mapping[str, Sequence[RunReader]], sides: Sequence[Side]
 ) -> list[list[Group]]:
     """The groups of the three charts: newest fifth, footprint, return."""
@@ -170,13 +172,13 @@ def _measured(
             kind = scope.kinds[run.run_id]
             returns = replace(returns, variant=kind.variant, group=kind)
             measured[2].append(returns)
-            if run.env != ROAD and not uniform(run):
+            if run.env != ROAD and not has_uniform_learner(run):
                 share = 100 * newest_share(profiles)
                 measured[0].append(replace(returns, step=profiles.env_step, value=share))
             if not side.uniform:
-                told = exams.at(exams.telling & np.isfinite(exams.footprint))
-                left = 100 * told.footprint
-                measured[1].append(replace(returns, step=told.step, value=left))
+                informative = exams.subset(exams.informative & np.isfinite(exams.footprint))
+                left = 100 * informative.footprint
+                measured[1].append(replace(returns, step=informative.step, value=left))
     return [curves.groups(one) for one in measured]
 
 
@@ -184,16 +186,16 @@ def _chart(scope: Scope, what: str, level: float | None, groups: Sequence[Group]
     """The chart of a card, with a line at a level; None without anything to draw."""
     if not groups:
         return None
-    figure = group_curves(groups, what, HEIGHT, singles=True, looks=scope.looks)
+    figure = group_curves(groups, what, HEIGHT, singles=True, styles=scope.styles)
     figure.update_layout(showlegend=False, hovermode="closest")
     if level is not None:
-        figure.add_shape(across(level, 1.2, "dash"))
-    named = ", ".join(f"{scope.looks[group.kind].title} (n = {group.n})" for group in groups)
+        figure.add_shape(horizontal_line(level, 1.2, "dash"))
+    named = ", ".join(f"{scope.styles[group.kind].title} (n = {group.n})" for group in groups)
     caption = (
-        f"{what.capitalize()}, against {steps_in_words(group.env for group in groups)}. Line: mean "
-        f"over seeds, band: 95 % bootstrap interval, thin lines: single runs. {named}."
+        f"{what.capitalize()}, against {step_axis_title(group.env for group in groups)}. Line: "
+        f"mean over seeds, band: 95 % bootstrap interval, thin lines: single runs. {named}."
     )
-    return Drawn.of(figure), caption
+    return FigureJson.of(figure), caption
 
 
 def _map(runs: Sequence[RunReader]) -> Chart | None:
@@ -203,23 +205,23 @@ def _map(runs: Sequence[RunReader]) -> Chart | None:
         if picture is not None:
             figure = road_map(picture, session.mode(), MAP_HEIGHT).update_layout(showlegend=False)
             named = f"{learner_label(run.learner)}, seed {run.seed}, step {picture.step:,}"
-            return Drawn.of(figure), f"Mean weight in each part of the map: {named}."
+            return FigureJson.of(figure), f"Mean weight in each part of the map: {named}."
     return None
 
 
 def _side(title: str, loops: Sequence[RunReader]) -> Side:
-    runs = [readers.weighed(run) for run in loops]
+    runs = [readers.first_weight_reader(run) for run in loops]
     seen = (
         answer.contrast(run, run.snapshot_steps()[-1])  # of the last kept fit
         for run in runs
-        if run.snapshot_steps() and buffer.has_rows(run) and not uniform(run)
+        if run.snapshot_steps() and buffer.has_rows(run) and not has_uniform_learner(run)
     )
     frames = [readers.metrics(run) for run in runs]
     live = f" ({learner_label(runs[0].learner)}, live)" if runs[0] is not loops[0] else ""
     name = text.markdown(title + live)  # it stands in sentences
     return Side(
         name,
-        all(map(uniform, runs)),  # grouped by a setting, learners are mixed
+        all(map(has_uniform_learner, runs)),  # grouped by a setting, learners are mixed
         [readers.profiles(run) for run in runs],
         [widgets.curve(run, "eval/return") for run in loops],
         [

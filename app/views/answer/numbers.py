@@ -10,10 +10,10 @@ import streamlit as st
 from app import text
 from app.data import buffer, readers
 from app.data.buffer import Floats
-from app.data.cache import made_once
-from app.data.called import told_apart
+from app.data.cache import get_or_make
 from app.data.exams import Exams, Ranking, Standing, exams_of, ranking
-from app.figures.curves import looks_of
+from app.data.run_names import distinct_names
+from app.figures.curves import styles_of
 from app.figures.exams import errors_by_age, footprint_error_return
 from app.parts import widgets
 from app.parts.plot import chart
@@ -65,20 +65,20 @@ def draw(scope: Scope, env: str) -> None:
     """The exams of all runs of a task, and their models' errors on one buffer and on their own."""
     runs = [run for run in scope.runs if run.env == env]
     alone = [run for run in runs if run.learner == SAC_ALONE]
-    alike, others = of_like_length([run for run in runs if run not in alone])
+    alike, others = split_by_length([run for run in runs if run not in alone])
     lengths = dict.fromkeys(run.status.env_step for run in others)
     of_length = {
         f"of another length ({steps:,} steps)": [r for r in others if r.status.env_step == steps]
         for steps in lengths
     }
-    _left_out(runs, {**of_length, "without a model": alone})
+    _list_left_out(runs, {**of_length, "without a model": alone})
     _exams(alike)
     st.subheader("In sample: on rows that the models were fitted to", anchor=False)
     st.caption(
         "A model can err little here and yet much where its policy goes next; only the exams above "
         "are out of sample. Curves has what each run measured on its own buffer, as model/error_*."
     )
-    run = scope.one(lambda run: run in alike and buffer.has_rows(run), widgets.telling)
+    run = scope.choose_run(lambda run: run in alike and buffer.has_rows(run), widgets.interest_key)
     if run is not None:
         _on_one_buffer(run, alike)
 
@@ -96,17 +96,18 @@ def _exams(runs: Sequence[RunReader]) -> None:
         return exams, ranking(exams, counted_from(map(readers.metrics, runs)))
 
     version = tuple(
-        (run.path, run.version("metrics"), readers.weighed(run).version("metrics")) for run in runs
+        (run.path, run.version("metrics"), readers.first_weight_reader(run).version("metrics"))
+        for run in runs
     )
     key = "exams", *(run.path for run in runs)
-    exams, result = made_once(key, version, make)
-    sat = {one.run_id: result.ended_before(one) for one in exams}
-    without = [run for run in runs if run.run_id not in sat]
-    early = [run for run in runs if sat.get(run.run_id)]
-    _left_out(runs, {NO_EXAM: without, f"ended before step {result.until:,.0f}": early})
+    exams, result = get_or_make(key, version, make)
+    too_short = {one.run_id: result.ended_before(one) for one in exams}
+    without = [run for run in runs if run.run_id not in too_short]
+    early = [run for run in runs if too_short.get(run.run_id)]
+    _list_left_out(runs, {NO_EXAM: without, f"ended before step {result.until:,.0f}": early})
     if not exams:
         return
-    st.markdown(text.linked(text.unbroken(verdict(result))), help=WHAT)
+    st.markdown(text.with_glossary_links(text.unbroken(verdict(result))), help=WHAT)
     st.dataframe(table(result), hide_index=True, column_config=COLUMNS, alt="The exams")
     with st.container(border=True):
         st.markdown(
@@ -125,7 +126,7 @@ def _exams(runs: Sequence[RunReader]) -> None:
 def group_names(runs: Sequence[RunReader]) -> dict[str, str]:
     """By run id the name of its group: its learner, and what distinguishes it from other groups."""
     kinds = kinds_of(runs)
-    groups = looks_of((run.env, kinds[run.run_id]) for run in runs)
+    groups = styles_of((run.env, kinds[run.run_id]) for run in runs)
     return {run_id: groups[kind].title for run_id, kind in kinds.items()}
 
 
@@ -141,7 +142,7 @@ def verdict(result: Ranking) -> str:
             f"needed). The table has the errors where the policy goes, in the exams{counted}."
         )
     first, second = result.ranked[:2]
-    beats, p = result.first_beats_second, result.chance
+    beats, p = result.first_beats_second, result.p_value
     one, other = (text.markdown(standing.name) for standing in (first, second))
     errors = (
         f"{short(first.typical)}, {percent(1 - first.typical / second.typical, 0)} less than "
@@ -179,7 +180,7 @@ def table(result: Ranking) -> pd.DataFrame:
             "one step": mean(one.error),
             "five steps": mean(one.rollout_error),
             "footprint": mean(one.footprint),
-            "fits that count": one.telling,
+            "fits that count": one.informative_fits,
         }
         for one in result.standings
     )
@@ -189,7 +190,7 @@ def _on_one_buffer(run: RunReader, others: Sequence[RunReader]) -> None:
     """The errors on the buffer of `run` of its own stored model and of other runs' models."""
     kept = [other for other in others if buffer.has_model(other)]
     errors, beyond, names = [], list(kept), group_names(kept)
-    for other in in_turn(run, kept):
+    for other in alternating_groups(run, kept):
         error = buffer.errors_on(run, other)
         if error is not None:
             own = " (its own)" if other.run_id == run.run_id else ""
@@ -198,7 +199,7 @@ def _on_one_buffer(run: RunReader, others: Sequence[RunReader]) -> None:
         if len(errors) == MODELS:
             break
     if not errors:
-        if not widgets.left_out_of_all(others, "model"):
+        if not widgets.show_left_out_of_all(others, "model"):
             st.caption("No run of this task has kept a model whose errors could be shown.")
         return
     with st.container(border=True):
@@ -210,13 +211,13 @@ def _on_one_buffer(run: RunReader, others: Sequence[RunReader]) -> None:
         figure = errors_by_age(errors, BINS, 320, keep=run.run_id)
         chart(figure, "errors here", "model error against age")
         without = [other for other in others if other not in kept]
-        _left_out(
+        _list_left_out(
             others,
             {"no kept model": without, f"beyond the first {MODELS} models, or unreadable": beyond},
         )
 
 
-def in_turn(run: RunReader, others: Sequence[RunReader]) -> list[RunReader]:
+def alternating_groups(run: RunReader, others: Sequence[RunReader]) -> list[RunReader]:
     """The run itself, then the first run of each group, then their second runs, and so on."""
     seen, names = Counter[str](), group_names(others)
     turns = {}
@@ -226,7 +227,7 @@ def in_turn(run: RunReader, others: Sequence[RunReader]) -> list[RunReader]:
     return sorted(others, key=lambda other: turns[other.run_id])
 
 
-def of_like_length(runs: Sequence[RunReader]) -> tuple[list[RunReader], list[RunReader]]:
+def split_by_length(runs: Sequence[RunReader]) -> tuple[list[RunReader], list[RunReader]]:
     """The runs of about the usual length, and the others."""
     usual = float(np.median([run.status.env_step for run in runs] or [0]))
 
@@ -236,12 +237,12 @@ def of_like_length(runs: Sequence[RunReader]) -> tuple[list[RunReader], list[Run
     return [run for run in runs if is_like(run)], [run for run in runs if not is_like(run)]
 
 
-def _left_out(runs: Sequence[RunReader], left_out: Mapping[str, Sequence[RunReader]]) -> None:
+def _list_left_out(runs: Sequence[RunReader], left_out: Mapping[str, Sequence[RunReader]]) -> None:
     """Name the runs that are left out of `runs`, a line for each reason."""
-    called = told_apart(runs, by_user=True)
+    names = distinct_names(runs, by_user=True)
     for reason, of in left_out.items():
         if of:
-            named = text.markdown("; ".join(called[run.run_id] for run in of))
+            named = text.markdown("; ".join(names[run.run_id] for run in of))
             if len(of) <= FEW_NAMED:
                 st.caption(f"Left out ({reason}): {named}.")
             else:

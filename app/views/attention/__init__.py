@@ -9,15 +9,15 @@ import streamlit as st
 from app import session, text
 from app.data import buffer, readers, road, weighings
 from app.data.answer import newest_share
-from app.data.cache import made_once
-from app.data.called import names, told_apart
+from app.data.cache import get_or_make
 from app.data.exams import at_fit
+from app.data.run_names import distinct_names, full_names
 from app.data.weighings import Dataset
 from app.figures.road import cells, road_map
 from app.figures.weights import FLOOR, over_fits, weight_profile
 from app.parts import address, timeline, widgets
 from app.parts.map import SELECTOR
-from app.parts.plot import Drawn, Follow, Point, chart
+from app.parts.plot import FigureJson, Follow, Point, chart
 from app.parts.scope import Scope
 from app.scenes.control import RoadChoice
 from app.theme import learner_label
@@ -63,23 +63,23 @@ def page(scope: Scope) -> None:
         learners.draw(scope)
         return
     run = in_buffer.choose(
-        scope, lambda: st.columns([1, 2])[0], lambda run: bool(readers.weighers(run)),
-        widgets.telling,
+        scope, lambda: st.columns([1, 2])[0], lambda run: bool(readers.weight_readers(run)),
+        widgets.interest_key,
     )  # fmt: skip
-    scope.say_missing(run, "weights")
+    scope.show_missing(run, "weights")
     if isinstance(run, Dataset):
         in_buffer.draw(run, 0)
         widgets.show_problems(run)
         return
-    asked = next((one for one in scope.runs if one.run_id == scope.asked), None)
-    if run is None or (asked and run.run_id != scope.asked):
+    asked = next((one for one in scope.runs if one.run_id == scope.chosen_id), None)
+    if run is None or (asked and run.run_id != scope.chosen_id):
         which = "The chosen run has not" if asked else "No run here has"
         words = f"{which} fitted a model yet: weights come with the first fit."
         if asked and not asked.fits_model:
             words = f"A recording of SAC fits no model. *{LEARNERS_ON_IT}* weighs its rows."
         st.info(words)
         return
-    found = readers.weighers(run) or {run.learner: run}  # by its own weights, or by live ones
+    found = readers.weight_readers(run) or {run.learner: run}  # by its own weights, or by live ones
     weigher = next(iter(found))
     if len(found) > 1:
         weigher = address.choose_one(
@@ -93,10 +93,10 @@ def page(scope: Scope) -> None:
     profiles = readers.profiles(run)
     fits, evaluations = profiles.env_step.tolist(), run.evaluation_steps()
     if fits:
-        step = timeline.chosen(sorted({*fits, *evaluations}))
+        step = timeline.chosen_step(sorted({*fits, *evaluations}))
         fit = at_or_before(fits, step)
-        called = text.markdown(names(scope.runs)[run.run_id])
-        st.header(f"Which data {called} pays attention to", anchor=False)
+        name = text.markdown(full_names(scope.runs)[run.run_id])
+        st.header(f"Which data {name} pays attention to", anchor=False)
         above = st.container()
         in_buffer.draw(run, fit)  # first, because the browser takes longest for it
         with above:
@@ -104,11 +104,11 @@ def page(scope: Scope) -> None:
                 _road(scope, run, step)
             else:
                 _numbers(run, profiles)
-                _even(run, profiles, fits.index(fit))
+                _explain_even_weights(run, profiles, fits.index(fit))
                 _exam(run, fit)
                 _over_time(run, profiles, fit)
         if run.env != ROAD:
-            _elsewhere(run, step)
+            _links(run, step)
         timeline.draw(fits, evaluations, step)
     else:
         st.warning("The weight profiles of this run cannot be read.")
@@ -153,9 +153,9 @@ def _numbers(run: RunReader, profiles: Profiles) -> None:
     )  # fmt: skip
 
 
-def _even(run: RunReader, profiles: Profiles, chosen: int) -> None:
+def _explain_even_weights(run: RunReader, profiles: Profiles, chosen: int) -> None:
     """Say why the weights of a learner that weighs are all the same."""
-    if widgets.uniform(run) or profiles.ess[chosen] <= EVEN:
+    if widgets.has_uniform_learner(run) or profiles.ess[chosen] <= EVEN:
         return
     step = int(profiles.env_step[chosen])
     noticed = {(notice.get("env_step"), notice.get("code")) for notice in readers.notices(run)}
@@ -175,7 +175,8 @@ def _exam(run: RunReader, fit: int) -> None:
         st.caption(
             text.markdown(
                 "This fit's exam is the steps that its policy took next, which it had not seen. "
-                f"{about_weights(metrics)} {of_which_weights(run.learner, run.settings)}"
+                f"{footprint_sentence(metrics)} "
+                f"{difference_from_recorded(run.learner, run.settings)}"
             )
         )
     else:
@@ -185,7 +186,7 @@ def _exam(run: RunReader, fit: int) -> None:
         )
 
 
-def of_which_weights(learner: str, settings: Settings) -> str:
+def difference_from_recorded(learner: str, settings: Settings) -> str:
     """How the weights of an exam, the fit's, differ from those that were recorded; else empty."""
     share = float(settings.get("model.uniform_share", 0))
     if share == 1:
@@ -201,7 +202,7 @@ def of_which_weights(learner: str, settings: Settings) -> str:
     return f"The model was fitted, and is examined, with these weights {' and '.join(changes)}."
 
 
-def about_weights(metrics: Mapping[str, float]) -> str:
+def footprint_sentence(metrics: Mapping[str, float]) -> str:
     """Whether the weights moved the buffer closer to the policy's transitions, beyond noise."""
     uniform, footprint, noise = (
         metrics.get(f"exam/{name}")
@@ -233,14 +234,14 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
     left, right = st.columns([3, 2])
     with left, st.container(border=True, height="stretch"):
         st.markdown("**Every fit**: weight by age, newest on top, and the returns")
-        mode, loop = session.mode(), readers.loop(run)
+        mode, loop = session.mode(), readers.loop_reader(run)
 
-        def drawn() -> Drawn:
+        def map_figure() -> FigureJson:
             returns = widgets.curve(loop, "eval/return")
-            return Drawn.of(over_fits([("", returns, profiles)], mode, HEIGHT))
+            return FigureJson.of(over_fits([("", returns, profiles)], mode, HEIGHT))
 
         version = run.version("profiles"), loop.version("metrics")
-        figure = made_once(("weight map", run.path, mode), version, drawn)
+        figure = get_or_make(("weight map", run.path, mode), version, map_figure)
         label = "weight of each part of the buffer at every fit, and the returns below"
         to_fit = partial(_go_to, fits)
         chart(figure, "weight map", label, to_fit, follow=Follow(cursor=True), after=SELECTOR)
@@ -249,13 +250,13 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
     with right, st.container(border=True, height="stretch"):
         st.markdown("**This fit**; dashed: every transition counts the same")
 
-        def profile() -> Drawn:
+        def profile_figure() -> FigureJson:
             top = float(np.nanmax(profiles.bins))  # of all fits, so that the axis stands still
             bins = profiles.bins[fits.index(fit)]
             figure = weight_profile(bins, run.learner, HEIGHT, top=top, keep=run.run_id)
-            return Drawn.of(figure)
+            return FigureJson.of(figure)
 
-        figure = made_once(("profile", run.path, fit), run.version("profiles"), profile)
+        figure = get_or_make(("profile", run.path, fit), run.version("profiles"), profile_figure)
         finite = np.maximum(np.nan_to_num(profiles.bins), FLOOR)  # JSON has no NaN
         follow = Follow(
             steps=fits, trace=np.where(finite < 1, finite.round(4), finite.round(2)).tolist()
@@ -269,14 +270,14 @@ def _go_to(fits: list[int], point: Point) -> None:
     timeline.go_to(at_or_before(fits, int(point.x)))
 
 
-def _elsewhere(run: RunReader, step: int) -> None:
+def _links(run: RunReader, step: int) -> None:
     """What other pages, and the other part of this one, make of these weights."""
     kept = [at for at in run.policy_steps() if at <= step]
 
     def open_learners() -> None:
         state = st.session_state
         state["part"], state["run"], state["at"] = LEARNERS_ON_IT, [run.run_id], kept[-1]
-        for one in weighings.every(run, buffer.length(run)):
+        for one in weighings.all_of_run(run, buffer.length(run)):
             if one.step == kept[-1]:
                 state["weighed"] = one.name
                 break
@@ -302,7 +303,7 @@ def _road(scope: Scope, run: RunReader, step: int) -> None:
     )
     others = {one.run_id: one for one in shown if one.run_id != run.run_id}
     beside = address.choose_many(
-        "Side by side with", list(others), "beside", names(shown).__getitem__,
+        "Side by side with", list(others), "beside", full_names(shown).__getitem__,
         max_selections=MOST_BESIDE, placeholder="no other run",
     )  # fmt: skip
     picture = road.fit(run, step)
@@ -312,32 +313,32 @@ def _road(scope: Scope, run: RunReader, step: int) -> None:
     _road_numbers(run)
     runs = [run, *(others[run_id] for run_id in beside)]
     choice = RoadChoice(tuple(each.run_id for each in runs), picture.step)
-    called = told_apart(runs)
+    names = distinct_names(runs)
     if len(runs) > 1:
-        widgets.stage(choice, ROAD_HEIGHT)
+        widgets.show_scene(choice, ROAD_HEIGHT)
         for column, each in zip(st.columns(len(runs)), runs, strict=True):
             with column, st.container(border=True):
-                _flat_map(each, picture.step, SMALL_HEIGHT, called[each.run_id])
+                _flat_map(each, picture.step, SMALL_HEIGHT, names[each.run_id])
     else:
         left, right = st.columns([5, 4])
         with left:
-            widgets.stage(choice, ROAD_HEIGHT)
+            widgets.show_scene(choice, ROAD_HEIGHT)
         with right:
             _flat_map(run, picture.step, ROAD_HEIGHT)
-    _export(runs, list(called.values()))
+    _export(runs, list(names.values()))
     widgets.link_to("curves", "All runs of this task, side by side")
     for each in runs[1:]:
         widgets.show_problems(each)
 
 
-def _flat_map(run: RunReader, step: int, height: int, called: str = "") -> None:
+def _flat_map(run: RunReader, step: int, height: int, name: str = "") -> None:
     """The map, whose cells follow the timeline in the browser."""
     picture = road.fit(run, step)
     if picture is None:
         st.caption(f"The map of {text.markdown(run.run_id)} cannot be read.")
         return
-    if called:
-        st.markdown(f"**{text.markdown(called)}**, step {picture.step:,}")
+    if name:
+        st.markdown(f"**{text.markdown(name)}**, step {picture.step:,}")
     of_step = {at: found for at in road.steps(run) if (found := road.picture(run, at))}
     chart(
         road_map(picture, session.mode(), height), f"road map {run.run_id}",
@@ -346,20 +347,20 @@ def _flat_map(run: RunReader, step: int, height: int, called: str = "") -> None:
     )  # fmt: skip
 
 
-def _export(runs: Sequence[RunReader], called: list[str]) -> None:
+def _export(runs: Sequence[RunReader], names: list[str]) -> None:
     """A button that exports the runs' 3D scene with all fits as one HTML file."""
     mode = session.mode()
 
-    def page_of_it() -> str:
+    def make_page() -> str:
         from app.scenes.road import as_html  # here: viser and trimesh take 0.7 s to import
 
         steps = sorted({step for run in runs for step in road.steps(run)})
         fits = [[road.fit(run, step) for run in runs] for step in steps]
         whole = [[one for one in fit if one is not None] for fit in fits if all(fit)]
-        return as_html(whole, mode, called)
+        return as_html(whole, mode, names)
 
     st.download_button(
-        "Share the scene as one HTML file", page_of_it, "road-and-rocks.html", "text/html",
+        "Share the scene as one HTML file", make_page, "road-and-rocks.html", "text/html",
         icon=":material/ios_share:", on_click="ignore",
         help="opens in any browser and needs no other file; plays every fit in turn, with the "
         "cars; some MB",

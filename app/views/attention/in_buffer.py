@@ -13,15 +13,15 @@ from app.data import buffer, buffer_map, weighings
 from app.data.buffer import Rows
 from app.data.buffer_map import CONTRAST, MODEL, POLICY, PRINCIPAL, TWO, Source
 from app.data.columns import RANK, WEIGHT
-from app.data.readers import reader
+from app.data.readers import fresh_reader
 from app.data.selection import Mask, Selection
 from app.data.weighings import Weighing
-from app.figures.replay import moments_figure
+from app.figures.replay import observation_windows
 from app.parts import address, map, widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from app.scenes.control import StatesChoice
-from app.theme import BLUE_TO_ORANGE, NEUTRAL, RISING, faded
+from app.theme import BLUE_TO_ORANGE, NEUTRAL, RISING, with_alpha
 from app.views.attention import why
 from tom.envs import ROAD
 from tom.frames import Run, read_weighing
@@ -53,11 +53,11 @@ def choose(
     scope: Scope,
     place: Callable[[], DeltaGenerator],
     suits: Callable[[RunReader], bool],
-    usual: Callable[[RunReader], object],
+    sort_key: Callable[[RunReader], object],
 ) -> RunReader | None:
     """The run of the list, or a data set that `tom weigh` was given, chosen at `place`."""
     data = {one.run_id: one for one in weighings.datasets(session.links().store)}
-    run = data.get(scope.asked) or scope.one(suits, usual)
+    run = data.get(scope.chosen_id) or scope.choose_run(suits, sort_key)
     if not data:
         return run
     options = [*([] if run is None else ["the chosen run"]), *data]
@@ -65,7 +65,7 @@ def choose(
     return data.get(chosen, run)
 
 
-def say_of(weighing: Weighing, rows: int, *facts: str) -> None:
+def show_remarks(weighing: Weighing, rows: int, *facts: str) -> None:
     """Say of a weighing of a buffer of `rows` what it lacks, contradicts itself in, and noticed."""
     for words in (weighing.missing(rows), *facts):
         if words:
@@ -78,7 +78,7 @@ def draw(run: RunReader, fit: int) -> None:
     """The map of a run's buffer at a fit, or of a data set; its histograms; the chosen rows."""
     sources = buffer_map.sources(run)
     if not sources:
-        if not widgets.left_out(run, "buffer", "other snapshots"):
+        if not widgets.show_left_out(run, "buffer", "other snapshots"):
             st.warning(UNREADABLE)
         return
     top = st.columns(3, vertical_alignment="bottom")
@@ -98,29 +98,29 @@ def draw(run: RunReader, fit: int) -> None:
         help="offered as a colour of the map: how many times the other's weight a row has",
     )  # fmt: skip
     key = _pick_plane(run, sources, source, top[2])
-    where, outline = address.words("where"), address.words("outline")
-    selection, row = Selection.of(where, outline), why.asked(rows)
+    where, outline = address.get_all("where"), address.get_all("outline")
+    selection, row = Selection.of(where, outline), why.chosen_row(rows)
     shown = [one for one in sources.values() if not one.weighing]
-    given = _given(run, rows, source, [source] if source.weighing else shown, row)
+    given = _map_data(run, rows, source, [source] if source.weighing else shown, row)
     keys = [key, *({selection.outline.plane} - {key} if selection.outline else ())]
-    given["planes"] = [plane for one in keys if (plane := buffer_map.given_plane(run, one))]
+    given["planes"] = [plane for one in keys if (plane := buffer_map.plane_for_browser(run, one))]
     beside = sources.get(against)
-    given["against"] = buffer_map.given_source(run, beside) if beside else None
+    given["against"] = buffer_map.source_for_browser(run, beside) if beside else None
     state = st.session_state
     with st.container(border=True):
         map.draw(
             given, 0 if source.weighing else int(source.label), where, outline,
-            address.word("colour", WEIGHT.name),
+            address.get("colour", WEIGHT.name),
             chosen=lambda where, outline: state.update(where=where, outline=outline),
             picked=why.pick, coloured=lambda name: state.update(colour=[name]),
         )  # fmt: skip
-    mask = buffer_map.chosen(run, source, selection)
+    mask = buffer_map.selection_mask(run, source, selection)
     if run.env != ROAD:  # its states are positions, which its own map shows
         _scenes(run, rows, source, mask, selection, row)
         why.brush(run, source, mask)
-    why.section(run, rows, source, row)
-    _listed(run, rows, source, mask)
-    widgets.left_out(run, "other snapshots", "simulator states")
+    why.draw(run, rows, source, row)
+    _row_list(run, rows, source, mask)
+    widgets.show_left_out(run, "other snapshots", "simulator states")
 
 
 def _pick_weights(
@@ -142,7 +142,7 @@ def _pick_weights(
             )
         return sources[str(kept)]
     if weighing := sources[chosen].weighing:
-        say_of(weighing, buffer.length(run))
+        show_remarks(weighing, buffer.length(run))
     return sources[chosen]
 
 
@@ -156,8 +156,8 @@ def _pick_plane(
     of = asked if asked in fits and not source.weighing else usual
     keys = {CONTRAST: f"{CONTRAST}@{of}", PRINCIPAL: f"{PRINCIPAL}@{of}"}
     # A network takes a second or more to see all rows, so its share is told once it is chosen.
-    shares = {kind: buffer_map.explained(run, key, source) for kind, key in keys.items()}
-    keys |= buffer_map.layers(run)
+    shares = {kind: buffer_map.explained_share(run, key, source) for kind, key in keys.items()}
+    keys |= buffer_map.network_planes(run)
     names = [one.name for one in buffer_map.dimensions(run)]
     kinds = [*keys, *([TWO] if len(names) > 1 else [])]
     chosen = address.choose_one(
@@ -165,21 +165,21 @@ def _pick_plane(
         lambda kind: PLANES[kind] + (f" ({shares[kind]:.2f})" if kind in shares else ""),
         help=PLANE_HELP,
     )  # fmt: skip
-    told = st
+    caption_place = st
     if chosen == TWO:
         columns = st.columns([4, 4, 7], vertical_alignment="bottom")
-        told = columns[2]
+        caption_place = columns[2]
         x = address.choose_one(columns[0].selectbox, "Across", names, "across", names[0])
         rest = [name for name in names if name != x]
         y = address.choose_one(columns[1].selectbox, "Up", rest, "up", rest[0])
         keys[TWO] = f"{TWO}@{x}|{y}"
-    address.keep("of", [] if of == usual or chosen not in shares else [of])
+    address.write("of", [] if of == usual or chosen not in shares else [of])
     if chosen not in shares:
-        share = buffer_map.explained(run, keys[chosen], source)
+        share = buffer_map.explained_share(run, keys[chosen], source)
         if not np.isfinite(share):
             st.caption("This network cannot be read; the plane shown is where weights differ most.")
             return keys[CONTRAST]
-        told.caption(f"It explains {percent(share, 0)} of the variance of the log weight.")
+        caption_place.caption(f"It explains {percent(share, 0)} of the variance of the log weight.")
     elif of != source.label:
         row = st.container(horizontal=True, vertical_alignment="center")
         row.caption(f"The plane is that of step {int(of):,}, so that only the weights move.")
@@ -189,7 +189,7 @@ def _pick_plane(
     return keys[chosen]
 
 
-def _given(
+def _map_data(
     run: RunReader, rows: Rows, source: Source, shown: list[Source], row: int | None
 ) -> dict[str, object]:
     """What the map needs to know of the buffer, of the `shown` weights, and of a chosen row."""
@@ -199,8 +199,8 @@ def _given(
         same = np.flatnonzero(rows.episode == rows.episode[row])
         path = [rows.first + int(same[0]), rows.first + int(same[-1])]
     return {
-        "columns": buffer_map.given_columns(run, shown),
-        "sources": [buffer_map.given_source(run, one) for one in shown],
+        "columns": buffer_map.columns_for_browser(run, shown),
+        "sources": [buffer_map.source_for_browser(run, one) for one in shown],
         "row": None if row is None else rows.first + row,
         "path": path,
         "near": near,
@@ -208,8 +208,9 @@ def _given(
         "diverging": BLUE_TO_ORANGE[mode],
         "sequential": RISING[mode],
         "colours": {
-            "all": faded(NEUTRAL, 0.45), "chosen": faded("#4a7fd0", 0.6),
-            "weight": BLUE_TO_ORANGE[mode][-2][1], "brush": faded(NEUTRAL, 0.2), "edge": NEUTRAL,
+            "all": with_alpha(NEUTRAL, 0.45), "chosen": with_alpha("#4a7fd0", 0.6),
+            "weight": BLUE_TO_ORANGE[mode][-2][1], "brush": with_alpha(NEUTRAL, 0.2),
+            "edge": NEUTRAL,
         },
     }  # fmt: skip
 
@@ -250,12 +251,14 @@ def _scenes(
         )
         for title, side in zip(titles, (left, right), strict=True)
     )
-    if buffer.drawn(run):
-        widgets.stage(StatesChoice(run.run_id, groups), STAGE_HEIGHT, compact=True)
+    if buffer.has_robot(run):
+        widgets.show_scene(StatesChoice(run.run_id, groups), STAGE_HEIGHT, compact=True)
         st.caption("Click the panel's title to open it and play the moments.")
         return
-    heavy, light = (buffer.moments(run, numbers) for _, numbers, _ in groups)
-    figure = moments_figure(heavy, light, buffer.described(run), MOMENT_HEIGHT, run.run_id)
+    heavy, light = (buffer.observations_around(run, numbers) for _, numbers, _ in groups)
+    figure = observation_windows(
+        heavy, light, buffer.observation_names(run), MOMENT_HEIGHT, run.run_id
+    )
     chart(figure, "moments", "observations round the heaviest and the lightest transitions")
     st.caption(
         "There is no robot to draw. Every line is a moment: the transition at 0, and the steps of "
@@ -263,14 +266,14 @@ def _scenes(
     )
 
 
-def _listed(run: RunReader, rows: Rows, source: Source, mask: Mask) -> None:
+def _row_list(run: RunReader, rows: Rows, source: Source, mask: Mask) -> None:
     """The heaviest chosen rows, listed when they are asked for; all of them as a file."""
     more = f", the {LISTED} heaviest" if mask.sum() > LISTED else ""
     box = address.fold(f"The chosen transitions{more}", "rows")
     if box.open:
         index = np.flatnonzero(mask)
         index = index[np.argsort(-rows.weight[index], kind="stable")][:LISTED]
-        box.dataframe(listed(run, rows, index), hide_index=True, alt="The chosen transitions")
+        box.dataframe(row_table(run, rows, index), hide_index=True, alt="The chosen transitions")
 
     def content() -> bytes:
         file = io.BytesIO()
@@ -289,19 +292,19 @@ def _listed(run: RunReader, rows: Rows, source: Source, mask: Mask) -> None:
 def table(run: RunReader, source: Source) -> pd.DataFrame:
     """The rows of these weights, a line each: `tom.load(...).rows(...)`."""
     if source.weighing is None:
-        return Run(reader(run)).rows(int(source.label))
+        return Run(fresh_reader(run)).rows(int(source.label))
     return read_weighing(source.weighing.path).rows(source.column)
 
 
-def listed(run: RunReader, rows: Rows, index: np.ndarray) -> pd.DataFrame:
+def row_table(run: RunReader, rows: Rows, index: np.ndarray) -> pd.DataFrame:
     """One line for each of these rows: its weight, its origin, s, a, r and s'."""
     part = rows.rows[index].numpy()
-    names, actions = buffer.named(run)
+    names, actions = buffer.obs_and_action_names(run)
     table = {
         "weight": rows.weight[index],
         "row": rows.first + index,
         "episode": rows.episode[index] + 1,
-        "step of the episode": rows.place[index] + 1,
+        "step of the episode": rows.episode_step[index] + 1,
         "return of the episode": rows.episode_return[index],
         "policy version": rows.version[index] if rows.policies_known else "not known",
         "reward": part.reward,
@@ -312,6 +315,6 @@ def listed(run: RunReader, rows: Rows, index: np.ndarray) -> pd.DataFrame:
         (part.action, actions),
         (part.next_obs, [f"next {n}" for n in names]),
     )
-    for values, called in vectors:
-        table |= dict(zip(called, np.asarray(values).T, strict=True))
+    for values, columns in vectors:
+        table |= dict(zip(columns, np.asarray(values).T, strict=True))
     return pd.DataFrame(table)

@@ -11,7 +11,7 @@ from app.data import buffer, weighings
 from app.data.buffer import Floats
 from app.data.called import names
 from app.data.weighings import Dataset, Weighing
-from app.figures.weights import probe_profiles
+from app.figures.weights import median_profiles
 from app.parts import address, form, jobs, widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
@@ -51,46 +51,48 @@ def draw(scope: Scope) -> None:
     store = session.links().store
     online = [run for run in scope.runs if run.env != ROAD]
     kept = [run for run in online if buffer.has_rows(run)]
-    weighed = weighings.weighed(store)
+    weighed = weighings.weighed_run_ids(store)
     top, (left, right) = st.container(), st.columns([1, 1], vertical_alignment="bottom")
     run = in_buffer.choose(
         scope, lambda: right, kept.__contains__,
-        lambda run: (run.run_id not in weighed, *widgets.telling(run)),
+        lambda run: (run.run_id not in weighed, *widgets.interest_key(run)),
     )  # fmt: skip
     rows = 0 if run is None else buffer.length(run)
     if run is not None:
         called = text.markdown(names(scope.runs).get(run.run_id, run.name))
         top.header(f"How each learner weighs the buffer of {called}", anchor=False)
     if run is None:
-        if not widgets.left_out_of_all(online, "buffer"):
+        if not widgets.show_left_out_of_all(online, "buffer"):
             st.info("No run of a MuJoCo task has collected transitions here yet.")
     elif not rows:
         st.warning("This replay buffer cannot be read.")
         return
     else:
-        found = {one.name: one for one in weighings.every(run, rows)}
+        found = {one.name: one for one in weighings.all_of_run(run, rows)}
         if found:
-            shown = weighings.called([*found.values()])
+            shown = weighings.titles([*found.values()])
             chosen = address.choose_one(
                 left.selectbox, "Weighed", list(found), "weighed", next(iter(found)),
                 shown.__getitem__,
                 help="live weights of a loop of your own; results of `tom weigh`, newest first",
             )  # fmt: skip
-            _weighed(found[chosen], rows)
+            _draw_weighing(found[chosen], rows)
         else:
             left.selectbox("Weighed", ["not yet"], disabled=True)
             st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
         if isinstance(run, Dataset):  # pages do not look for the user's files
             with st.expander("Weigh this data", icon=":material/scale:"):
                 st.caption("No run collected this data. Weigh it in a terminal, from where it is:")
-                st.code(form.shown(run.words(store)), language="bash", wrap_lines=True)
+                st.code(
+                    form.command_line(run.weigh_arguments(store)), language="bash", wrap_lines=True
+                )
                 st.caption("It was last weighed by:")
                 st.code(run.command, language="bash", wrap_lines=True)
         else:
-            _weigh(run, kept, expanded=not found)
+            _weigh_form(run, kept, expanded=not found)
     with st.expander("Data and policies of your own", icon=":material/upload_file:"):
         words = ["weigh", "DATA", "--policy", "POLICY", "--env", "ENV", "--store", store]
-        st.code(form.shown(words), language="bash")
+        st.code(form.command_line(words), language="bash")
         st.caption(f"DATA: a run (id or folder), {FORMATS}, oldest transition first.")
         st.caption(f"POLICY: {POLICIES}.")
         st.caption(f"ENV: {', '.join(ENVS)}, {ANY}. A run and its policy know theirs.")
@@ -98,12 +100,12 @@ def draw(scope: Scope) -> None:
         widgets.show_problems(run)
 
 
-def _weighed(weighing: Weighing, rows: int) -> None:
+def _draw_weighing(weighing: Weighing, rows: int) -> None:
     of = weighing.weights()
     if not of:
         st.warning("The weights of this weighing cannot be read.")
         return
-    in_buffer.say_of(weighing, rows, weighing.card)
+    in_buffer.show_remarks(weighing, rows, weighing.card)
     footprints = weighing.footprints
     if sentence := nearest({name: of[:, 0] for name, of in footprints.items()}):
         st.markdown(text.unbroken(sentence))
@@ -111,7 +113,7 @@ def _weighed(weighing: Weighing, rows: int) -> None:
         share = weighing.ordered_from / len(next(iter(of.values())))
         ends = ": the dotted line ends the random data" if share > 0 else ""
         st.markdown(f"**By {text.markdown(weighing.policy)}**{ends}")
-        figure = probe_profiles(weighings.profiles(of), share, 400, keep=weighing.name)
+        figure = median_profiles(weighings.profiles(of), share, 400, keep=weighing.name)
         chart(figure, "probe", "weight profiles of several learners on the same buffer")
     with st.container(border=True):
         st.markdown("**The weights in numbers**: medians over seeds")
@@ -174,11 +176,11 @@ def _table(
     )
 
 
-def _weigh(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None:
+def _weigh_form(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None:
     """A form that starts `tom weigh` on this buffer, all of it or its state at a fit."""
     with st.expander("Weigh this buffer", icon=":material/scale:", expanded=expanded):
         row = st.columns([2, 4, 4, 2, 2])
-        widgets.left_out(run, "policies")
+        widgets.show_left_out(run, "policies")
         at = address.choose_one(
             row[0].selectbox, "As it was at step", [END, *run.policy_steps()], "at", END,
             lambda step: str(step) if step == END else f"{step:,}",
@@ -193,7 +195,7 @@ def _weigh(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None
         )
         usable = [name for name in LEARNERS if run.keeps_behaviour() or not follows_behaviour(name)]
         with row[2]:
-            learners = address.many(
+            learners = address.multiselect(
                 "Learners", usable, list(WEIGHED_FIRST), key="weigh learners",
                 format_func=learner_label,
             )  # fmt: skip
@@ -212,7 +214,7 @@ def _weigh(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None
             "--learner", *learners, "--seeds", *map(str, range(seeds)), "--preset", preset,
             "--store", session.links().store,
         ]  # fmt: skip
-        st.code(form.shown(words), language="bash", wrap_lines=True)
+        st.code(form.command_line(words), language="bash", wrap_lines=True)
         job = f"Weighing {run.run_id}"
         if why := session.read_only_reason():
             st.caption(why)
@@ -223,6 +225,6 @@ def _weigh(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) -> None
         if len(usable) < len(LEARNERS):
             lacking = ", ".join(learner_label(name) for name in LEARNERS if name not in usable)
             st.caption(f"{lacking}: this run does not say which policies drew its actions.")
-        if run.run_id not in policies and not widgets.left_out(run, "policy"):
+        if run.run_id not in policies and not widgets.show_left_out(run, "policy"):
             st.caption("This run has no policy of its own yet: it is written when the run ends.")
     jobs.show(job)

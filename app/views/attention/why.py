@@ -17,10 +17,10 @@ from app.data.buffer_map import Source
 from app.data.selection import Mask
 from app.data.weighings import Brushed
 from app.data.why import Why
-from app.figures.why import NAMES, error_bars, factor_in_words, rollout_lines, waterfall
+from app.figures.why import NAMES, error_bars, factor_text, rollout_lines, waterfall
 from app.parts import address, jobs, widgets
 from app.parts.plot import chart
-from app.scenes.film import ghosts
+from app.scenes.film import ghost_film
 from app.theme import learner_label
 from tom.analysis.brush import FACTORS
 from tom.envs import ROAD, is_code
@@ -48,7 +48,7 @@ def pick(row: int) -> None:
     st.session_state[KEY] = row
 
 
-def asked(rows: Rows) -> int | None:
+def chosen_row(rows: Rows) -> int | None:
     """The chosen row of the buffer: by a click, a widget or the address (`?row=`); or none."""
     row = address.value_of(KEY, address.whole_number)
     inside = row is not None and rows.first <= row < rows.first + len(rows)
@@ -56,23 +56,23 @@ def asked(rows: Rows) -> int | None:
     return row - rows.first if row is not None and inside else None
 
 
-def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None:
+def draw(run: RunReader, rows: Rows, source: Source, row: int | None) -> None:
     with st.container(border=True):
-        _pick(rows)
+        _row_picker(rows)
         if row is None:
             return
         found = reasons.why_of(run, rows, source)
         numbers = {
             "weight": number(float(rows.weight[row]), 3),
             "heavier than": percent(float((rows.weight < rows.weight[row]).mean())),
-            "its step in its episode": f"{rows.place[row] + 1:,}",
+            "its step in its episode": f"{rows.episode_step[row] + 1:,}",
             "return of that episode": score(float(rows.episode_return[row])),
             "ends the episode": "yes" if rows.rows.numpy().ended()[row] else "no",
         }
         widgets.metrics(numbers, {"heavier than": "of the buffer"})
         if isinstance(found, str):
             st.info(f"No sum: {text.markdown(found)}.", icon=":material/functions:")
-            _offer(run, source.step)
+            _offer_weighing(run, source.step)
         else:
             left, right = st.columns([3, 2])
             with left:
@@ -86,18 +86,18 @@ def section(run: RunReader, rows: Rows, source: Source, row: int | None) -> None
                 formula += "." if config.divergence == "kl" else f"{mean}."
                 g = 1.0 if config.flow == "stationary" else config.discount
                 cut = " The sum lies below the cut, so the weight is zero." if raw == 0 else ""
-                said = (
+                sentence = (
                     f"{short(summed.weight)} = {formula}{cut} Divergence {config.divergence}, flow "
-                    f"{FLOWS[config.flow]}; g = {g:g}. Terms of {found.whose}."
+                    f"{FLOWS[config.flow]}; g = {g:g}. Terms of {found.origin}."
                 )
-                st.caption(text.markdown(said))
+                st.caption(text.markdown(sentence))
             with right:
                 _neighbours(run, rows, found, row)
         if run.env != ROAD:
             _rollouts(run, rows, row, source.step)
 
 
-def _pick(rows: Rows) -> None:
+def _row_picker(rows: Rows) -> None:
     st.markdown("**Why this weight?** Click a transition on a map, or choose one")
     weight = rows.weight
     zero, above = np.flatnonzero(weight == 0), np.flatnonzero(weight > 0)
@@ -116,13 +116,13 @@ def _pick(rows: Rows) -> None:
         for name, row in suggested.items():
             at = rows.first + int(row or 0)
             st.button(name, key=f"why {name}", disabled=row is None, on_click=pick, args=(at,))
-    address.keep(KEY, [] if chosen is None else [str(chosen)])
+    address.write(KEY, [] if chosen is None else [str(chosen)])
 
 
 def _neighbours(run: RunReader, rows: Rows, found: Why, row: int) -> None:
     near = reasons.neighbours(rows, found, row)
     st.markdown("**Its nearest of the policy's own transitions**")
-    names, actions = buffer.named(run)
+    names, actions = buffer.obs_and_action_names(run)
     obs, action = np.asarray(near.rows.obs), np.asarray(near.rows.action)
     own = np.concatenate([np.asarray(rows.rows.obs)[row], np.asarray(rows.rows.action)[row]])
     table = pd.DataFrame({"": [*names, *actions], "this one": own})
@@ -156,7 +156,7 @@ def _rollouts(run: RunReader, rows: Rows, row: int, step: int | None) -> None:
         st.caption(f"No rollouts: {text.markdown(rollouts)}.")
         return
     paths = rollouts.paths
-    names, _ = buffer.named(run)
+    names, _ = buffer.obs_and_action_names(run)
     moved = paths[:, 1].std(0) / np.maximum(np.asarray(rows.rows.obs).std(0), 1e-9)
     first = int(np.nan_to_num(moved).argmax())
     name = st.selectbox("Dimension", names, index=first, key="why dimension")
@@ -171,7 +171,7 @@ def _rollouts(run: RunReader, rows: Rows, row: int, step: int | None) -> None:
     )
 
 
-def _offer(run: RunReader, step: int | None) -> None:
+def _offer_weighing(run: RunReader, step: int | None) -> None:
     """Offer to weigh the buffer of this step again, with its terms.
 
     Not where that would run code of the user's, which a page never starts.
@@ -200,7 +200,7 @@ def brush(run: RunReader, source: Source, mask: Mask) -> None:
     with st.container(border=True):
         st.markdown("**What if this region counted more, or less?**")
         job = f"Brush of {run.run_id}"
-        _start(job, run, source, mask)
+        _brush_form(job, run, source, mask)
         # The newest is then shown, in place of an earlier one that was chosen.
         jobs.show(job, lambda: st.session_state.update(brush=""))
         if regions:
@@ -211,11 +211,11 @@ def brush(run: RunReader, source: Source, mask: Mask) -> None:
             _brushed(run, regions[chosen])
 
 
-def command(
-    run_id: str, rows: str, step: int, of: str, factors: Sequence[float], store: str
+def brush_arguments(
+    run_id: str, rows: str, step: int, weights_option: str, factors: Sequence[float], store: str
 ) -> list[str]:
     """The arguments of `tom` that brush the rows listed in a file."""
-    weights = ["--weighing", of] if of else []
+    weights = ["--weighing", weights_option] if weights_option else []
     by = [f"{factor:g}" for factor in factors]
     return [
         "brush", run_id, "--rows", rows, "--step", str(step), *weights, "--factors", *by,
@@ -223,11 +223,11 @@ def command(
     ]  # fmt: skip
 
 
-def _start(job: str, run: RunReader, source: Source, mask: Mask) -> None:
+def _brush_form(job: str, run: RunReader, source: Source, mask: Mask) -> None:
     left, right = st.columns([3, 2], vertical_alignment="bottom")
     factors = left.pills(
         "Multiply its weight by", list(FACTORS), default=list(FACTORS), key="factors",
-        selection_mode="multi", format_func=factor_in_words,
+        selection_mode="multi", format_func=factor_text,
     )  # fmt: skip
     count = int(mask.sum())
     if why := session.read_only_reason():
@@ -245,7 +245,7 @@ def _start(job: str, run: RunReader, source: Source, mask: Mask) -> None:
             np.savetxt(file, source.first + np.flatnonzero(mask), fmt="%d")
         store = session.links().store
         step = run.step_of(source.end) if source.step is None else source.step
-        words = command(run.argument, file.name, step, source.option, factors, store)
+        words = brush_arguments(run.argument, file.name, step, source.option, factors, store)
         # The file goes with the record of its reader, or with the studio.
         finalize(jobs.start(job, words), Path(file.name).unlink, missing_ok=True)
 
@@ -253,10 +253,12 @@ def _start(job: str, run: RunReader, source: Source, mask: Mask) -> None:
 def _brushed(run: RunReader, brushed: Brushed) -> None:
     left, right = st.columns([1, 1])
     with left:
-        st.markdown(f"**{brushed.rows:,} of {brushed.of:,} transitions, step {brushed.step:,}**")
+        st.markdown(
+            f"**{brushed.rows:,} of {brushed.buffer_rows:,} transitions, step {brushed.step:,}**"
+        )
         figure = error_bars(brushed, BRUSH_HEIGHT, session.mode())
         chart(figure, "brush errors", "errors of brushed models by region")
-        st.caption(in_words(brushed))
+        st.caption(error_changes(brushed))
     with right:
         kept = [f for f in brushed.factors if f"x{f:g}" in brushed.ghosts]
         if not kept:
@@ -264,15 +266,15 @@ def _brushed(run: RunReader, brushed: Brushed) -> None:
             return
         factor = st.segmented_control(
             "Ghost of weight", kept, default=kept[0], required=True, key="ghost of",
-            format_func=factor_in_words,
+            format_func=factor_text,
         )  # fmt: skip
         factor = kept[0] if factor not in kept else factor
-        known, model = buffer.described_task(run), scene_of(run)
-        if known is None or model is None:
+        task, model = buffer.find_task(run), scene_of(run)
+        if task is None or model is None:
             st.caption("No ghosts: there is no robot to draw.")
             return
-        name, drawn = f"region {factor_in_words(factor)}", (known, model)
-        page = ghosts(drawn, brushed.ghosts, factor, name, run.learner, session.mode())
+        name, drawn = f"region {factor_text(factor)}", (task, model)
+        page = ghost_film(drawn, brushed.ghosts, factor, name, run.learner, session.mode())
         st.iframe(page, height=BRUSH_HEIGHT, alt="Ghosts of two models")
         st.caption(
             "An evaluation episode at a quarter of real time, and its prediction by two models, "
@@ -280,9 +282,9 @@ def _brushed(run: RunReader, brushed: Brushed) -> None:
         )
 
 
-def in_words(brushed: Brushed) -> str:
+def error_changes(brushed: Brushed) -> str:
     """The change of the models' errors, one sentence per factor."""
-    said = []
+    sentences = []
     for factor in brushed.factors:
         parts = []
         for region, name in NAMES.items():
@@ -292,9 +294,9 @@ def in_words(brushed: Brushed) -> str:
                 continue
             sure = (ratio > 1).all() or (ratio < 1).all()
             parts.append(f"{name} {100 * (ratio.mean() - 1):+.0f} %{'' if sure else ' (not all)'}")
-        said.append(f"Weight {factor_in_words(factor)}: {', '.join(parts)}.")
+        sentences.append(f"Weight {factor_text(factor)}: {', '.join(parts)}.")
     size = f"{brushed.model['layers']} layers of {brushed.model['hidden']} units"
     return text.markdown(
-        f"{' '.join(said)} Not all: the seeds disagree on the sign. Models of {size}; one-step "
-        "errors, compared with those under unchanged weights."
+        f"{' '.join(sentences)} Not all: the seeds disagree on the sign. Models of {size}; "
+        "one-step errors, compared with those under unchanged weights."
     )

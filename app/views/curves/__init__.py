@@ -13,13 +13,13 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import session, text
 from app.data import readers, tables
-from app.data.cache import made_once
-from app.data.called import names, task, told_apart
-from app.figures.base import steps_in_words
-from app.figures.curves import alone, group_curves, label_ends, short_title
+from app.data.cache import get_or_make
+from app.data.run_names import distinct_names, full_names, task_title
+from app.figures.base import step_axis_title
+from app.figures.curves import group_curves, label_ends, short_title, single_run_group
 from app.parts import address, shortlinks, timeline, widgets
-from app.parts.plot import Drawn, Follow, Point, View, chart
-from app.parts.scope import ALIKE, LINES, Scope
+from app.parts.plot import FigureJson, Follow, Point, View, chart
+from app.parts.scope import CUT_SHORT, LINES, Scope
 from app.views.curves import measure, numbers, runs
 from app.views.curves.measure import Measure
 from tom.analysis import statistics
@@ -72,22 +72,24 @@ def page(scope: Scope) -> None:
 
 
 def _curves(scope: Scope, row: DeltaGenerator) -> None:
-    recorded = measure.in_order(name for run in scope.runs for name in readers.points(run))
+    recorded = measure.favourites_first(
+        name for run in scope.runs for name in readers.metric_counts(run)
+    )
     usual = [name for name in measure.FIRST[:4] if name in recorded]
     chosen = address.choose_many(
-        "Panels", recorded, "panel", usual=usual or recorded[:1], label_visibility="collapsed",
+        "Panels", recorded, "panel", default=usual or recorded[:1], label_visibility="collapsed",
         placeholder="add a metric",
     )  # fmt: skip
     with row.popover("Lines", icon=":material/tune:"):
         how = measure.choose(recorded)
     alive = any(run.status.alive for run in scope.runs)
     st.fragment(_panels, run_every=REFRESH_S if alive else None)(scope, chosen, how)
-    run = scope.one(lambda run: bool(readers.weighers(run)), widgets.telling)
+    run = scope.choose_run(lambda run: bool(readers.weight_readers(run)), widgets.interest_key)
     if run is not None and how.axes.x == measure.STEPS:
-        fits = readers.profiles(readers.weighed(run)).env_step.tolist()
+        fits = readers.profiles(readers.first_weight_reader(run)).env_step.tolist()
         evaluations = run.evaluation_steps()
         if stops := sorted({*fits, *evaluations}):
-            timeline.draw(fits, evaluations, timeline.chosen(stops))
+            timeline.draw(fits, evaluations, timeline.chosen_step(stops))
 
 
 def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
@@ -108,9 +110,11 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
         )
         first = first or (curves, grouped)
         with grid, st.container(border=True):
-            where = f"{task(env)}: " if len(envs) > 1 else ""
+            where = f"{task_title(env)}: " if len(envs) > 1 else ""
             title = text.markdown(where + short_title(metric))
-            st.markdown(f"**{title}**", help=text.linked(text.markdown(describe(metric))))
+            st.markdown(
+                f"**{title}**", help=text.with_glossary_links(text.markdown(describe(metric)))
+            )
             if not any(len(curve.step) for curve in curves):
                 st.caption("None of these runs has recorded it yet.")
                 continue
@@ -121,7 +125,7 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
                     figure, f"curve {env} {metric}", f"{metric} against {how.axes.x} in {env}",
                     partial(_clicked, curves) if on_steps else None,
                     view=View(seen.get(""), seen.get(panel)),
-                    viewed=partial(measure.remember, seen, panel),
+                    viewed=partial(measure.set_zoom, seen, panel),
                     follow=Follow(cursor=on_steps), linked="curves",
                     caption=caption(metric, env, grouped, how, scope),
                 )  # fmt: skip
@@ -133,7 +137,9 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
             # The highest value of another metric, such as an error, may be the worst.
             table = table.rename(columns=lambda name: name.replace("best", "highest", 1))
         st.markdown(f"**{text.markdown(metric)}** at the step that all runs of a group reach")
-        st.dataframe(in_words(table), hide_index=True, column_config=COLUMNS, alt="The groups")
+        st.dataframe(
+            with_interval_text(table), hide_index=True, column_config=COLUMNS, alt="The groups"
+        )
 
 
 def _figure(
@@ -143,7 +149,7 @@ def _figure(
     how: Measure,
     scope: Scope,
     here: Sequence[RunReader],
-) -> go.Figure | Drawn | None:
+) -> go.Figure | FigureJson | None:
     """The figure of one panel; None if a plug-in's chart failed, which the page then shows."""
     if metric in CHARTS:
         try:
@@ -151,37 +157,37 @@ def _figure(
         except Exception as error:  # a plug-in's, which must not take the page with it
             st.exception(error)
             return None
-    looks = {scope.kinds[run.run_id]: scope.looks[scope.kinds[run.run_id]] for run in here}
+    styles = {scope.kinds[run.run_id]: scope.styles[scope.kinds[run.run_id]] for run in here}
     groups = list(grouped)
     if not grouped:
         st.caption("Values go back and forth along this axis, so each run has its own line.")
-        called = told_apart(here)
+        names = distinct_names(here)
         for curve in (curve for curve in curves if len(curve.step)):
-            groups.append(alone(curve, called[curve.run_id]))
-            looks[groups[-1].kind] = replace(looks[curve.kind], title=called[curve.run_id])
+            groups.append(single_run_group(curve, names[curve.run_id]))
+            styles[groups[-1].kind] = replace(styles[curve.kind], title=names[curve.run_id])
 
-    def drawn() -> Drawn:
+    def make() -> FigureJson:
         figure = group_curves(
             groups, metric, PANEL_HEIGHT, singles=how.singles, axes=how.axes, window=how.window,
-            looks=looks,
+            styles=styles,
         )  # fmt: skip
         if len(groups) <= LINES:
-            label_ends(figure, groups, looks, how.axes)
-        return Drawn.of(figure)
+            label_ends(figure, groups, styles, how.axes)
+        return FigureJson.of(figure)
 
-    key = measure.held(here, scope.kinds), metric, how, *looks.items()
-    return made_once(("panel", *key), None, drawn)
+    key = measure.cache_key(here, scope.kinds), metric, how, *styles.items()
+    return get_or_make(("panel", *key), None, make)
 
 
 def caption(metric: str, env: str, grouped: Sequence[Group], how: Measure, scope: Scope) -> str:
     """A caption for a saved figure: what is drawn, the interval, and n of each group."""
     bands = {"bootstrap": ", band: 95 % bootstrap interval", "deviation": ", band: one deviation"}
-    named = ", ".join(f"{scope.looks[group.kind].title} (n = {group.n})" for group in grouped)
+    named = ", ".join(f"{scope.styles[group.kind].title} (n = {group.n})" for group in grouped)
     smooth = f", moving average of {how.window} points" if how.window > 1 else ""
-    of = steps_in_words({env}) if how.axes.x == measure.STEPS else how.axes.x
+    of = step_axis_title({env}) if how.axes.x == measure.STEPS else how.axes.x
     line = f"Line: {NAMES[how.statistic]} over {scope.unit}{bands.get(how.band, '')}"
     drawn = f"{line}{smooth}. {named}" if grouped else f"Lines: single runs{smooth}"
-    return f"{short_title(metric)} on {task(env)} against {of}. {drawn}."
+    return f"{short_title(metric)} on {task_title(env)} against {of}. {drawn}."
 
 
 def _clicked(curves: Sequence[Curve], point: Point) -> None:
@@ -200,12 +206,12 @@ def remarks(grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, sco
     unit, cut = scope.unit, scope.cut_short
     few = min((group.n for group in grouped if group.n > 1), default=0)
     warning = text.markdown(statistics.remark(few).replace("seeds", unit)) if few else ""
-    which = ", ".join(f"{names(cut)[run.run_id]} ({run.status.env_step:,})" for run in cut)
+    which = ", ".join(f"{full_names(cut)[run.run_id]} ({run.status.env_step:,})" for run in cut)
     bands = {
         "bootstrap": f"Band: its 95 % bootstrap interval (1000 resamples of the {unit}).",
         "deviation": f"Band: one standard deviation of the {unit} around their mean.",
     }
-    said = {
+    sentences = {
         f"Line: {NAMES[how.statistic]} over {unit}.": True,
         bands.get(how.band, ""): how.band in bands,
         f"Grouped by {text.markdown(scope.by)}: everything else may differ.": unit == "runs",
@@ -215,27 +221,27 @@ def remarks(grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, sco
         "Runs recorded at other steps are interpolated.": any(
             group.interpolated for group in grouped
         ),
-        "The table's rows end at different steps; Statistics compares at one step.": unlike_ends(
+        "The table's rows end at different steps; Statistics compares at one step.": ends_differ(
             grouped
         ),
-        "A seed run twice counts twice.": unit == "seeds" and measure.repeated(grouped),
+        "A seed run twice counts twice.": unit == "seeds" and measure.has_repeated_seed(grouped),
         "The first half of a SAC recording is random steps, which count here.": any(
             curve.learner == SAC_ALONE for curve in curves
         ),
         f"Left out (ended well before the others): {text.markdown(which)}.": bool(cut),
     }
-    return text.unbroken(" ".join(words for words, holds in said.items() if holds))
+    return text.unbroken(" ".join(words for words, holds in sentences.items() if holds))
 
 
-def unlike_ends(grouped: Sequence[Group]) -> bool:
+def ends_differ(grouped: Sequence[Group]) -> bool:
     """Whether the rows of an environment's table end at clearly different steps."""
     ends: dict[str, list[float]] = {}
     for group in grouped:
         ends.setdefault(group.env, []).append(common_step(group.curves))
-    return any(min(of) < ALIKE * max(of) for of in ends.values())
+    return any(min(of) < CUT_SHORT * max(of) for of in ends.values())
 
 
-def in_words(table: pd.DataFrame) -> pd.DataFrame:
+def with_interval_text(table: pd.DataFrame) -> pd.DataFrame:
     """The table with each interval in one column of text, without empty columns."""
     shown = table.copy()
     for name in [name.removesuffix(" low") for name in table if name.endswith(" low")]:

@@ -8,7 +8,7 @@ import numpy as np
 import streamlit as st
 
 from app.data import readers
-from app.data.cache import made_once
+from app.data.cache import get_or_make
 from app.figures.curves import Axes
 from app.parts import address
 from app.parts.plot import Part, View
@@ -68,7 +68,7 @@ def choose(names: Sequence[str]) -> Measure:
     return Measure(axes, STATISTICS[statistic], BANDS[band], int(window), singles)
 
 
-def in_order(names: Iterable[str]) -> list[str]:
+def favourites_first(names: Iterable[str]) -> list[str]:
     """The distinct metrics of runs by name, those of `FIRST` in front."""
     metrics = set(names) - {"env_step"}
     first = [name for name in FIRST if name in metrics]
@@ -90,14 +90,14 @@ def grouped(
         advancing = all((np.diff(one.step) > 0).all() for one in curves)
         return curves, groups(curves, statistic, band) if advancing else []
 
-    return made_once(("groups", held(runs, kinds), metric, x, statistic, band), None, make)
+    return get_or_make(("groups", cache_key(runs, kinds), metric, x, statistic, band), None, make)
 
 
-def held(runs: Sequence[RunReader], kinds: Mapping[str, Kind]) -> tuple[object, ...]:
+def cache_key(runs: Sequence[RunReader], kinds: Mapping[str, Kind]) -> tuple[object, ...]:
     """What the curves and groups of runs depend on, for the key of a cache."""
     return tuple(
         (run.path, run.status.total, run.version("metrics"),
-         readers.weighed(run).version("metrics"), kinds[run.run_id])
+         readers.first_weight_reader(run).version("metrics"), kinds[run.run_id])
         for run in runs
     )  # fmt: skip
 
@@ -117,7 +117,7 @@ def curve(run: RunReader, metric: str, x: str = STEPS, kind: Kind | None = None)
     return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value, variant, kind)
 
 
-def repeated(grouped: Sequence[Group]) -> bool:
+def has_repeated_seed(grouped: Sequence[Group]) -> bool:
     """Whether a seed was run twice in a group."""
     return any(len({curve.seed for curve in group.curves}) < group.n for group in grouped)
 
@@ -128,12 +128,12 @@ def zoom(measured: object) -> dict[str, Part]:
     In the address as `zoom=~0~50000` and `zoom=eval/return~-100~3000`. A zoom belongs to what was
     `measured` and is dropped when that changes.
     """
-    seen = address.value_of(ZOOM, zoom_of, measured)
-    address.keep(ZOOM, [f"{name}~{low:.5g}~{high:.5g}" for name, (low, high) in seen.items()])
+    seen = address.value_of(ZOOM, parse_zoom, measured)
+    address.write(ZOOM, [f"{name}~{low:.5g}~{high:.5g}" for name, (low, high) in seen.items()])
     return seen
 
 
-def zoom_of(words: Sequence[str]) -> dict[str, Part]:
+def parse_zoom(words: Sequence[str]) -> dict[str, Part]:
     """The parts that the words of an address name; malformed words are left out."""
     seen = {}
     for word in words:
@@ -147,7 +147,7 @@ def zoom_of(words: Sequence[str]) -> dict[str, Part]:
     return seen
 
 
-def remember(seen: Mapping[str, Part], metric: str, shown: View) -> None:
+def set_zoom(seen: Mapping[str, Part], metric: str, shown: View) -> None:
     """Show this part of a metric's panel from now on, and the same x axis in all others."""
     changed = {name: part for name, part in seen.items() if name not in ("", metric)}
     changed |= {name: part for name, part in (("", shown.x), (metric, shown.y)) if part}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app import text
 from app.data.tables import default_level, reached
-from app.figures.curves import Look
+from app.figures.curves import Style
 from app.figures.statistics import Profile, improvement, profiles
 from app.parts import address
 from app.parts.plot import chart
@@ -21,7 +21,7 @@ from tom.analysis.curves import Group
 from tom.analysis.scores import (
     HEIGHT,
     SCORES,
-    begun,
+    all_have_started,
     common_start,
     common_step,
     interval,
@@ -60,7 +60,7 @@ def draw(scope: Scope) -> None:
         st.info("None of these runs has been evaluated yet.")
         return
     until = common_step(curve for group in every for curve in group.curves)
-    grouped = [group for group in every if begun(group.curves, until)]
+    grouped = [group for group in every if all_have_started(group.curves, until)]
     if not grouped:
         st.info(f"Nothing was recorded up to step {until:,.0f}, where the first run ends.")
         return
@@ -72,11 +72,11 @@ def draw(scope: Scope) -> None:
         help="sample efficiency: the first recorded step at which a run is at this value",
     )  # fmt: skip
     _remarks(scope, every, grouped, until, since if score == HEIGHT else None)
-    looks = [scope.looks[group.kind] for group in grouped]
-    names = [look.title for look in looks]
+    styles = [scope.styles[group.kind] for group in grouped]
+    names = [look.title for look in styles]
     keep = " ".join([env, metric, *(curve.run_id for group in grouped for curve in group.curves)])
-    _profiles(looks, scores, score, keep)
-    _improvement(looks, scores, f"{score} {keep}")
+    _profiles(styles, scores, score, keep)
+    _improvement(styles, scores, f"{score} {keep}")
     table = reached(grouped, names, level, until)
     _efficiency(table, metric, level, until)
     with st.expander("The score of each run"):
@@ -98,7 +98,7 @@ def _remarks(
     """What a reader of the scores has to know; `since`: from where on heights count."""
     few = statistics.remark([group.n for group in grouped]) or "Ten seeds or more"
     words = [f"{text.markdown(few.replace('seed', scope.unit.removesuffix('s')))}."]
-    if measure.repeated(grouped):
+    if measure.has_repeated_seed(grouped):
         words.append("A seed run twice counts twice.")
     ends = sorted((curve.step[-1], curve.run_id) for group in every for curve in group.curves)
     words.append(f"Scores count up to step {until:,.0f}, which every run reaches.")
@@ -106,24 +106,24 @@ def _remarks(
         words.append(f"{text.markdown(ends[0][1])} ends there; without it, they would go on.")
     if since is not None:
         words.append(f"Heights count from step {since:,.0f}, which every run has.")
-    late = [text.markdown(scope.looks[g.kind].title) for g in every if g not in grouped]
+    late = [text.markdown(scope.styles[g.kind].title) for g in every if g not in grouped]
     if late:
         words.append(f"Left out (nothing was recorded by then): {', '.join(late)}.")
     st.caption(" ".join(words))
 
 
-def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str, keep: str) -> None:
+def _profiles(styles: Sequence[Style], scores: Sequence[NDArray], score: str, keep: str) -> None:
     everything = np.concatenate(scores)
     margin = 0.05 * (np.ptp(everything) or 1.0)
     ends = everything.min() - margin, everything.max() + margin
     at = np.unique(np.append(everything, ends))  # shares change at scores alone
     of_groups = [  # a band is the same beside any other group
         Profile(
-            look,
+            style,
             statistics.performance_profile([values], at),
             *statistics.profile_band([values], at, resamples=300),
         )
-        for look, values in zip(looks, scores, strict=True)
+        for style, values in zip(styles, scores, strict=True)
     ]
     with st.container(border=True):
         title = "**Performance profile**: share of runs above a score, 95 % bootstrap band"
@@ -131,18 +131,18 @@ def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str, keep
         label = f"share of runs whose {score} is above a threshold"
         chart(profiles(of_groups, at, score, 340, keep), "performance profile", label)
     rows = [
-        {"group": look.title, "n": len(values)}
+        {"group": style.title, "n": len(values)}
         | {statistic: str(interval(values, statistic)) for statistic in ("mean", "median", "iqm")}
-        for look, values in zip(looks, scores, strict=True)
+        for style, values in zip(styles, scores, strict=True)
     ]
     title = f"**{score.capitalize()}** of the runs, with 95 % bootstrap intervals"
     st.markdown(text.unbroken(title))
     st.dataframe(pd.DataFrame(rows), hide_index=True, column_config={"iqm": "IQM"}, alt=score)
 
 
-def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) -> None:
+def _improvement(styles: Sequence[Style], scores: Sequence[NDArray], keep: str) -> None:
     """Who beats whom."""
-    both = list(combinations(range(len(looks)), 2))
+    both = list(combinations(range(len(styles)), 2))
     if not both:
         st.caption("The probability of improvement needs a second group.")
         return
@@ -150,7 +150,7 @@ def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) ->
     beats = [statistics.probability_of_improvement([scores[i]], [scores[j]]) for i, j in both]
     pairs = pd.DataFrame(
         {
-            "first": looks[i].title, "second": looks[j].title, "probability": won.value,
+            "first": styles[i].title, "second": styles[j].title, "probability": won.value,
             "low": won.low, "high": won.high, "p": p, "p corrected": of_all,
         }
         for (i, j), won, p, of_all in zip(both, beats, ps, statistics.corrected(ps), strict=True)
@@ -162,7 +162,7 @@ def _improvement(looks: Sequence[Look], scores: Sequence[NDArray], keep: str) ->
             "if a group has one run. p: by permutation of the runs, right for few. Corrected: for "
             "the number of pairs (Holm), but not for other pages and steps that were looked at.",
         )
-        colours = [looks[i].colour for i, _ in both]
+        colours = [styles[i].colour for i, _ in both]
         figure = improvement(pairs, colours, 90 + 40 * len(pairs), keep)
         chart(figure, "improvement", "probability that a run of one group beats one of another")
 

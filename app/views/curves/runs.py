@@ -8,7 +8,7 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers, tables
-from app.data.called import told_apart
+from app.data.run_names import distinct_names
 from app.parts import address
 from app.parts.scope import Scope, toggle
 from app.theme import learner_label
@@ -19,7 +19,7 @@ from tom.record.manage import NAME_LENGTH, NOTE_LENGTH
 from tom.record.reader import RunReader
 from tom.record.store import Store
 
-ALREADY = ("env", "learner", "preset", "seed", "steps")
+OWN_COLUMNS = ("env", "learner", "preset", "seed", "steps")
 """settings that have columns of their own"""
 MOST_SETTINGS, MOST_COLUMNS = 12, 24
 MARK = "font-weight: 650; background-color: rgba(200, 68, 28, 0.2)"
@@ -37,7 +37,7 @@ def draw(scope: Scope) -> None:
     runs = scope.runs
     table = overview(runs)
     table.insert(0, "shown", np.array([run in scope.shown for run in runs], bool))
-    apart = {path: of for path, of in differences(runs).items() if path not in ALREADY}
+    apart = {path: of for path, of in differences(runs).items() if path not in OWN_COLUMNS}
     for path, of in reversed([*apart.items()][:MOST_SETTINGS]):
         table.insert(4, path, of)  # after the name and the tags
     edited = st.data_editor(
@@ -52,7 +52,7 @@ def draw(scope: Scope) -> None:
         st.caption(why)
         return
     # By their ids: a choice would be lost whenever a new name changed its words.
-    picked = address.many(
+    picked = address.multiselect(
         "Runs to label or to move to the trash", [run.run_id for run in runs], key="labelled",
         placeholder="none",
     )  # fmt: skip
@@ -68,12 +68,14 @@ def draw(scope: Scope) -> None:
             with st.popover(words, icon=":material/delete:"):
                 sure = st.button("Yes, move it" if one else "Yes, move them", key="trash")
             if sure:
-                _try(lambda: manage.trash(store, *picked), "Moved to the trash")
+                _act(lambda: manage.trash(store, *picked), "Moved to the trash")
     if there := readers.trashed(store.path):
         with st.expander(f"{len(there)} in the trash"):
-            back = address.many("Runs to bring back", there, key="restored", placeholder="none")
+            back = address.multiselect(
+                "Runs to bring back", there, key="restored", placeholder="none"
+            )
             if st.button("Bring back", icon=":material/restore_from_trash:", disabled=not back):
-                _try(lambda: manage.restore(store, *back), "Brought back")
+                _act(lambda: manage.restore(store, *back), "Brought back")
 
 
 def overview(runs: Sequence[RunReader]) -> pd.DataFrame:
@@ -107,10 +109,10 @@ def _label(store: Store, chosen: Sequence[RunReader]) -> None:
                 "Name", one.labels.name, max_chars=NAME_LENGTH, placeholder=one.run_id
             )
             note = st.text_area("Note", one.labels.note, max_chars=NOTE_LENGTH)
-        held = list(dict.fromkeys(tag for run in chosen for tag in run.labels.tags))
-        shared = [tag for tag in held if all(tag in run.labels.tags for run in chosen)]
-        tags = address.many(
-            "Tags" if one else f"Tags of these {len(chosen)} runs", held, shared,
+        all_tags = list(dict.fromkeys(tag for run in chosen for tag in run.labels.tags))
+        shared = [tag for tag in all_tags if all(tag in run.labels.tags for run in chosen)]
+        tags = address.multiselect(
+            "Tags" if one else f"Tags of these {len(chosen)} runs", all_tags, shared,
             accept_new_options=True, placeholder="type a tag and press Enter",
             help=None if one else "the tags that all of them have; each run keeps its other tags",
         )  # fmt: skip
@@ -119,17 +121,17 @@ def _label(store: Store, chosen: Sequence[RunReader]) -> None:
     def save() -> None:
         for run in chosen:
             added = [tag for tag in tags if tag not in shared]
-            gone = [tag for tag in shared if tag not in tags]
-            manage.label(store, run.run_id, name=name, note=note, add=added, remove=gone)
+            removed = [tag for tag in shared if tag not in tags]
+            manage.label(store, run.run_id, name=name, note=note, add=added, remove=removed)
 
     if saved:
-        _try(save, "Saved")
+        _act(save, "Saved")
 
 
-def _try(act: Callable[[], object], done: str) -> None:
+def _act(action: Callable[[], object], done: str) -> None:
     """Call `act` and draw the page again; if it fails, show why in one line."""
     try:
-        act()
+        action()
     except (UserError, OSError) as error:
         st.error(text.markdown(error), icon=":material/error:")
         return
@@ -140,7 +142,7 @@ def _try(act: Callable[[], object], done: str) -> None:
 def settings(shown: Sequence[RunReader]) -> None:
     """The settings that differ, one column per run; those unlike the first run's are marked."""
     some = shown[:MOST_COLUMNS]
-    table = tables.settings(some, told_apart(some, by_user=True).values())
+    table = tables.settings(some, distinct_names(some, by_user=True).values())
     if table.empty:
         st.info("These runs have the same settings." if len(shown) > 1 else "One run alone.")
         return

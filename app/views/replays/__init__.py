@@ -6,16 +6,16 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers
-from app.data.cache import made_once
-from app.data.called import names, told_apart
+from app.data.cache import get_or_make
 from app.data.replays import DEFAULT_HORIZON
+from app.data.run_names import distinct_names, full_names
 from app.figures.weights import over_fits
 from app.parts import address, timeline, widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from app.parts.widgets import EVALUATIONS
 from app.scenes.control import ReplayChoice
-from app.scenes.film import SECONDS, cinema, may_be_told, story
+from app.scenes.film import SECONDS, cinema, has_story, story
 from app.views.replays import episode
 from tom.errors import UserError
 from tom.record.reader import RunReader
@@ -28,24 +28,26 @@ LENGTHS = {"15 s": 15.0, "30 s": 30.0, "1 min": SECONDS, "2 min": 120.0}
 
 def page(scope: Scope) -> None:
     """One episode, episodes of several runs, a run's film, or all that a run has recorded."""
-    draw = {EPISODE: episode.draw, SIDE: _side, FILM: _film, RERUN: _recording}
+    draw = {EPISODE: episode.draw, SIDE: _side_by_side, FILM: _film, RERUN: _recording}
     draw[address.choose_part(list(draw))](scope)
 
 
 def _recording(scope: Scope) -> None:
-    run = scope.one(lambda run: run.status.alive or bool(readers.recordings(run)), lambda run: 0)
+    run = scope.choose_run(
+        lambda run: run.status.alive or bool(readers.recordings(run)), lambda run: 0
+    )
     if run is None:
         st.info("No run here has a Rerun recording; `tom runs export RUN --format rrd` makes one.")
         return
-    called = text.markdown(names(scope.runs)[run.run_id])
-    st.caption(f"Everything that {called} has recorded, in Rerun's viewer.")
-    widgets.rerun(run, RERUN_HEIGHT)
+    name = text.markdown(full_names(scope.runs)[run.run_id])
+    st.caption(f"Everything that {name} has recorded, in Rerun's viewer.")
+    widgets.show_rerun(run, RERUN_HEIGHT)
 
 
-def _side(scope: Scope) -> None:
+def _side_by_side(scope: Scope) -> None:
     """Two to four runs: returns and weights on linked axes, replays at one step."""
     runs = scope.shown
-    called = names(runs)
+    names = full_names(runs)
     of_task = [run for run in runs if run.env == runs[0].env]
     with_replays_first = sorted(of_task, key=lambda run: not run.evaluation_steps())
     of_group = {scope.title(run): run.run_id for run in reversed(with_replays_first)}
@@ -53,18 +55,18 @@ def _side(scope: Scope) -> None:
     if len(usual) < 2:
         usual = [run.run_id for run in of_task][:2]
     picked = address.choose_many(
-        f"Two to {MOST} runs", list(called), "side", called.__getitem__, usual, max_selections=MOST
+        f"Two to {MOST} runs", list(names), "side", names.__getitem__, usual, max_selections=MOST
     )
     chosen = [run for run_id in picked for run in runs if run.run_id == run_id]
     if len(chosen) < 2:
         st.info("Pick two runs or more.", icon=":material/splitscreen_vertical_add:")
         return
-    called = told_apart(chosen)
+    names = distinct_names(chosen)
     parts = [
         (
-            called[run.run_id],
+            names[run.run_id],
             widgets.curve(run, "eval/return"),
-            readers.profiles(readers.weighed(run)),
+            readers.profiles(readers.first_weight_reader(run)),
         )
         for run in chosen
     ]
@@ -78,9 +80,9 @@ def _side(scope: Scope) -> None:
     evaluated = {run.run_id: run.evaluation_steps() for run in chosen}
     steps = sorted({step for of_run in evaluated.values() for step in of_run})
     if not steps:
-        widgets.left_out_of_all(chosen, EVALUATIONS)
+        widgets.show_left_out_of_all(chosen, EVALUATIONS)
         return
-    step = timeline.chosen(steps)
+    step = timeline.chosen_step(steps)
     timeline.draw([], steps, step)
     played = st.session_state.setdefault("side played", 0)
     with st.container(horizontal=True, vertical_alignment="center"):
@@ -91,11 +93,11 @@ def _side(scope: Scope) -> None:
         for i, column in enumerate(st.columns(2)[: len(chosen) - first], first):
             run = chosen[i]
             with column:
-                _replay(run, called[run.run_id], evaluated[run.run_id], step, f"side{i}", played)
+                _replay(run, names[run.run_id], evaluated[run.run_id], step, f"side{i}", played)
 
 
 def _replay(
-    run: RunReader, called: str, steps: Sequence[int], step: int, part: str, played: int
+    run: RunReader, name: str, steps: Sequence[int], step: int, part: str, played: int
 ) -> None:
     """The last evaluation at or before a step, played `played` times from its start."""
     before = [at for at in steps if at <= step]
@@ -105,15 +107,15 @@ def _replay(
         words = "not evaluated yet"
     else:
         words = "left out of its small copy"
-    st.caption(f"{text.markdown(called)}, {words}")
+    st.caption(f"{text.markdown(name)}, {words}")
     if before:
         choice = ReplayChoice(run.run_id, before[-1], 0, 0, DEFAULT_HORIZON, played, "start")
-        widgets.stage(choice, SIDE_HEIGHT, part, compact=True)
+        widgets.show_scene(choice, SIDE_HEIGHT, part, compact=True)
 
 
 def _film(scope: Scope) -> None:
     """A run's whole story in a minute on one timeline, on the page and as a file."""
-    run = scope.one(may_be_told, widgets.telling)
+    run = scope.choose_run(has_story, widgets.interest_key)
     if run is None:
         st.info("No run here has a story yet: it needs two model fits and its buffer (MuJoCo).")
         return
@@ -124,12 +126,12 @@ def _film(scope: Scope) -> None:
     try:
         with st.spinner("Making the film..."):
             version = run.version("metrics"), run.name  # the film has the name as its title
-            told = made_once(("story", run.path), version, lambda: story(run))
+            story_data = get_or_make(("story", run.path), version, lambda: story(run))
     except UserError as error:
-        widgets.left_out(run, "buffer")
+        widgets.show_left_out(run, "buffer")
         st.warning(text.markdown(error))
         return
-    film = cinema(told, run.learner, session.mode(), LENGTHS[chosen])
+    film = cinema(story_data, run.learner, session.mode(), LENGTHS[chosen])
     top[1].download_button(
         "One HTML file", film, f"{run.run_id}-cinema.html", "text/html", key="film",
         width="stretch", icon=":material/download:", on_click="ignore",
@@ -142,4 +144,4 @@ def _film(scope: Scope) -> None:
         "plays and pauses, arrows move one second. MP4 needs a browser that can encode, on this "
         "machine or over https; `tom studio --cinema` writes an MP4 too."
     )
-    widgets.left_out(run, "other evaluations")
+    widgets.show_left_out(run, "other evaluations")

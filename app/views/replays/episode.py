@@ -8,13 +8,13 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers, replays
-from app.data.called import names
 from app.data.replays import DEFAULT_HORIZON, HORIZONS, Replay
+from app.data.run_names import full_names
 from app.figures.replay import episode_curves, observed_curves, return_curve
 from app.parts import address, timeline, widgets
 from app.parts.plot import Point, chart
 from app.parts.scope import Scope
-from app.scenes.control import REAL_TIME, SPEEDS, Clock, ReplayChoice, Wish, clock
+from app.scenes.control import REAL_TIME, SPEEDS, Clock, Command, ReplayChoice, clock
 from app.theme import learner_label
 from tom import readable
 from tom.envs import ROAD
@@ -28,31 +28,31 @@ TICK_S, LISTEN_S = 0.5, 4
 PART = "replay"
 """the name of the frame on its page"""
 FRAME, SLIDER = "frame", "replay frame"
-ASKED = "replay asked"
+REQUEST = "replay asked"
 """the page's requests: their number, the last one, and its frame"""
-NOTHING = (0, "go", 0)
+NO_REQUEST = (0, "go", 0)
 CHOSEN = "another episode was chosen"
 
 
 def draw(scope: Scope) -> None:
     """A run, an evaluation, an episode; the robot, its return and its reward."""
-    run = scope.one(lambda run: bool(run.evaluation_steps()), widgets.telling)
-    scope.say_missing(run, "evaluations")
+    run = scope.choose_run(lambda run: bool(run.evaluation_steps()), widgets.interest_key)
+    scope.show_missing(run, "evaluations")
     if run is None:
-        if not widgets.left_out_of_all(scope.runs, widgets.EVALUATIONS):
+        if not widgets.show_left_out_of_all(scope.runs, widgets.EVALUATIONS):
             st.info("No run here has been evaluated yet: its episodes are recorded then.")
         return
     steps, fits = run.evaluation_steps(), readers.profiles(run).env_step.tolist()
-    asked = timeline.chosen(sorted({*fits, *steps}))
+    asked = timeline.chosen_step(sorted({*fits, *steps}))
     step = at_or_before(steps, asked)
     timeline.draw(fits, steps, asked)
     returns = readers.returns(run, step)
     if not len(returns):
         st.warning("The episodes of this evaluation cannot be read.")
         return
-    called = text.markdown(names(scope.runs)[run.run_id])
+    name = text.markdown(full_names(scope.runs)[run.run_id])
     top = st.columns([6, 3, 3], vertical_alignment="bottom")
-    top[0].header(f"{called}, evaluated at step {step:,}", anchor=False)
+    top[0].header(f"{name}, evaluated at step {step:,}", anchor=False)
     options = list(range(1, len(returns) + 1))
     label = f"Episode (of {len(returns)})"
     index = address.choose_one(top[1].selectbox, label, options, "episode", 1) - 1
@@ -78,8 +78,8 @@ def draw(scope: Scope) -> None:
     play = st.fragment(_play, run_every=TICK_S if moves else None)
     play(run, replay, returns, index, horizon, moves=moves)
     if not moves:
-        widgets.when_changed(position, LISTEN_S)
-    widgets.left_out(run, "other evaluations", "other episodes")
+        widgets.redraw_when_changed(position, LISTEN_S)
+    widgets.show_left_out(run, "other evaluations", "other episodes")
     widgets.show_problems(run)
 
 
@@ -101,7 +101,7 @@ def _numbers(replay: Replay) -> None:
     widgets.metrics(numbers, helps)
     if replay.model_step is None:
         words = f"No ghost: {text.markdown(replay.no_ghost)}."
-    elif replay.ghost is None and replay.drawn:
+    elif replay.ghost is None and replay.has_scene:
         words = (
             "No ghost: this task's observations do not include its joints. The charts compare what "
             f"the model of step {replay.model_step:,} imagined."
@@ -113,9 +113,9 @@ def _numbers(replay: Replay) -> None:
             else f"the model that the run kept, of step {replay.model_step:,}, not of step "
             f"{replay.step:,}."
         )
-        if replay.drawn and not replay.road:
+        if replay.has_scene and not replay.road:
             words += " Its place on the ground is integrated from its velocity."
-    st.caption(text.linked(words))
+    st.caption(text.with_glossary_links(words))
 
 
 def _play(
@@ -127,23 +127,23 @@ def _play(
     at, playing = position()  # the scene plays, or has controls of its own
     if FRAME in st.session_state:
         st.session_state[FRAME] = min(at, replay.episode.length)
-    frame = _marked(replay, playing=playing)
+    frame = _current_frame(replay, playing=playing)
     left, right = st.columns([3, 2])
     with left:
         viewer = address.choose_part([VISER, RERUN], "viewer", "Viewer")
         if viewer == RERUN:
             name = f"episode-{replay.step}-{index}-{horizon}.rrd"
-            widgets.rerun(run, STAGE_HEIGHT, name)
-        elif replay.drawn:
-            asked, wish, at = st.session_state.get(ASKED, NOTHING)
+            widgets.show_rerun(run, STAGE_HEIGHT, name)
+        elif replay.has_scene:
+            request, command, at = st.session_state.get(REQUEST, NO_REQUEST)
             state = st.session_state
             choice = ReplayChoice(
-                run.run_id, replay.step, index, at, horizon, asked=asked, wish=wish,
+                run.run_id, replay.step, index, at, horizon, request=request, command=command,
                 speed=state.get("replay speed", REAL_TIME),
                 ghost=bool(state.get("replay ghost", True)),
                 follow=bool(state.get("replay follows", True)),
             )  # fmt: skip
-            widgets.stage(choice, STAGE_HEIGHT, PART, compact=True)
+            widgets.show_scene(choice, STAGE_HEIGHT, PART, compact=True)
             _controls(replay, playing=playing)
         else:
             with st.container(border=True):
@@ -186,13 +186,13 @@ def _choose_episode(point: Point) -> None:
 
 def position() -> tuple[int, bool]:
     """The scene's step and whether it plays; the page's wish until the scene has heard it."""
-    now, (asked, wish, _) = _clock(), st.session_state.get(ASKED, NOTHING)
-    if now is None or now.asked != asked:
-        return st.session_state.get(FRAME, 0), now is not None and wish == "play"
+    now, (request, command, _) = _clock(), st.session_state.get(REQUEST, NO_REQUEST)
+    if now is None or now.request != request:
+        return st.session_state.get(FRAME, 0), now is not None and command == "play"
     return now.frame, now.playing
 
 
-def _marked(replay: Replay, *, playing: bool) -> int:
+def _current_frame(replay: Replay, *, playing: bool) -> int:
     """The shown step of the episode: the scene's, or that of the address, which a pause writes."""
     before = st.session_state.get(FRAME)
     frame = address.value_of(FRAME, address.whole_number) or 0
@@ -200,13 +200,13 @@ def _marked(replay: Replay, *, playing: bool) -> int:
         frame = 0
     if frame != before:
         go_to(frame)
-    address.keep(FRAME, [str(frame)] if frame and not playing else [])
+    address.write(FRAME, [str(frame)] if frame and not playing else [])
     return frame
 
 
 def go_to(frame: int) -> None:
     st.session_state[FRAME] = frame
-    _ask("go", frame)
+    _send_request("go", frame)
 
 
 def _controls(replay: Replay, *, playing: bool) -> None:
@@ -217,11 +217,11 @@ def _controls(replay: Replay, *, playing: bool) -> None:
         now = _clock()
         if now is not None and now.playing:
             st.session_state[FRAME] = now.frame
-            _ask("pause", now.frame)
+            _send_request("pause", now.frame)
             return
         if st.session_state[FRAME] >= last:
             st.session_state[FRAME] = 0
-        _ask("play", st.session_state[FRAME])
+        _send_request("play", st.session_state[FRAME])
 
     icon = ":material/pause:" if playing else ":material/play_arrow:"
     row = st.columns([2, 6, 3], vertical_alignment="bottom")
@@ -239,9 +239,9 @@ def _controls(replay: Replay, *, playing: bool) -> None:
     row[1].toggle("Camera follows", True, key="replay follows")
 
 
-def _ask(wish: Wish, frame: int) -> None:
-    asked = st.session_state.get(ASKED, NOTHING)[0]
-    st.session_state[ASKED] = (asked + 1, wish, frame)
+def _send_request(command: Command, frame: int) -> None:
+    request = st.session_state.get(REQUEST, NO_REQUEST)[0]
+    st.session_state[REQUEST] = (request + 1, command, frame)
 
 
 def _clock() -> Clock | None:

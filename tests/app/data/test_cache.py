@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from app.data import cache
-from app.data.cache import RESULTS, bytes_of, made_once
+from app.data.cache import RESULTS, bytes_of, get_or_make
 from tom.data.transitions import Transitions
 
 
@@ -25,10 +25,10 @@ def room(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def test_of_what_changes_one_version_is_kept() -> None:
     for version in range(3):
-        assert made_once(("live",), version, lambda v=version: [v]) == [version]
-    assert made_once(("still",), None, lambda: [9]) == [9]
-    assert made_once(("live",), 2, lambda: [0]) == [2]
-    assert made_once(("live",), 1, lambda: [0]) == [0]
+        assert get_or_make(("live",), version, lambda v=version: [v]) == [version]
+    assert get_or_make(("still",), None, lambda: [9]) == [9]
+    assert get_or_make(("live",), 2, lambda: [0]) == [2]
+    assert get_or_make(("live",), 1, lambda: [0]) == [0]
 
 
 def test_what_one_thread_makes_another_waits_for() -> None:
@@ -40,29 +40,29 @@ def test_what_one_thread_makes_another_waits_for() -> None:
         return [1]
 
     with ThreadPoolExecutor(3) as threads:
-        first = threads.submit(made_once, ("a",), None, make)
+        first = threads.submit(get_or_make, ("a",), None, make)
         assert begun.wait(30)
-        second = threads.submit(made_once, ("a",), None, lambda: [2])
-        assert threads.submit(made_once, ("b",), None, lambda: [3]).result(30) == [3]
+        second = threads.submit(get_or_make, ("a",), None, lambda: [2])
+        assert threads.submit(get_or_make, ("b",), None, lambda: [3]).result(30) == [3]
         go_on.set()
         assert second.result(30) is first.result(30)
 
 
 def test_all_results_share_the_bytes_and_the_oldest_goes_first() -> None:
-    first = made_once(("a",), None, lambda: np.zeros(500))
-    made_once(("b",), None, lambda: np.zeros(500))
-    assert made_once(("a",), None, lambda: np.ones(500)) is first  # now `b` is the oldest
-    made_once(("c",), None, lambda: np.zeros(500))
-    assert made_once(("a",), None, lambda: np.ones(500)) is first
-    assert made_once(("b",), None, lambda: np.ones(500)).all()
+    first = get_or_make(("a",), None, lambda: np.zeros(500))
+    get_or_make(("b",), None, lambda: np.zeros(500))
+    assert get_or_make(("a",), None, lambda: np.ones(500)) is first  # now `b` is the oldest
+    get_or_make(("c",), None, lambda: np.zeros(500))
+    assert get_or_make(("a",), None, lambda: np.ones(500)) is first
+    assert get_or_make(("b",), None, lambda: np.ones(500)).all()
 
 
 def test_a_result_larger_than_the_budget_is_kept_alone() -> None:
-    large = made_once(("large",), None, lambda: np.zeros(2000))
-    assert made_once(("large",), None, lambda: np.ones(2000)) is large
-    small = made_once(("small",), None, lambda: np.zeros(2))
-    assert made_once(("small",), None, lambda: np.ones(2)) is small
-    assert made_once(("large",), None, lambda: np.ones(2000)).all()
+    large = get_or_make(("large",), None, lambda: np.zeros(2000))
+    assert get_or_make(("large",), None, lambda: np.ones(2000)) is large
+    small = get_or_make(("small",), None, lambda: np.zeros(2))
+    assert get_or_make(("small",), None, lambda: np.ones(2)) is small
+    assert get_or_make(("large",), None, lambda: np.ones(2000)).all()
 
 
 @pytest.mark.parametrize(

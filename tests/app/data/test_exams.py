@@ -37,7 +37,7 @@ def test_exams_are_read_where_one_was_sat() -> None:
     found = exams_of("a", "tom", 3, "TOM", frame)
     assert found.step.tolist() == [100, 200]
     assert found.error.tolist() == [0.5, 0.25]
-    assert found.telling.tolist() == [True, False]
+    assert found.informative.tolist() == [True, False]
     assert found.returns.tolist() == [2.0, 3.0]  # not what was evaluated at the fit's own step
     assert np.isnan(found.rollout_error).all()
     assert at_fit(frame, 200) == {"exam/error": 0.25, "exam/footprint_uniform": -0.01}
@@ -47,9 +47,9 @@ def test_exams_are_read_where_one_was_sat() -> None:
 @pytest.mark.parametrize("noise", [1.0, -1.5, NAN])
 def test_a_footprint_lost_in_its_noise_says_nothing(noise: float) -> None:
     run = replace(sat("TOM", 0, [1.0]), footprint=np.array([0.1]), noise=np.array([noise]))
-    assert not run.telling.any()
+    assert not run.informative.any()
     [group] = ranking([run]).standings
-    assert (group.telling, len(group.footprint)) == (0, 0)
+    assert (group.informative_fits, len(group.footprint)) == (0, 0)
 
 
 def test_nobody_is_ranked_under_five_seeds() -> None:

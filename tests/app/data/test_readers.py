@@ -73,7 +73,7 @@ def test_a_damaged_run_is_named_and_the_others_stay(own: Path) -> None:
 def test_points_are_what_a_curve_would_have(store: Path) -> None:
     run = info(store, PENDULUM_TOM)
     frame = readers.metrics(run)
-    points = readers.points(run)
+    points = readers.metric_counts(run)
     assert points == {name: len(curve_points(frame, name)[0]) for name in points}
     assert set(frame) - set(points) == {n for n in frame if not np.isfinite(frame[n]).any()}
 
@@ -95,5 +95,5 @@ def test_of_a_run_in_training_one_version_is_held(own: Path) -> None:
 
 def read(run: RunReader) -> list[weakref.ref]:
     parts = readers.metrics(run), readers.profiles(run), buffer.recorded(run).rows.obs
-    parts = *parts, buffer.in_episodes(run)[2]
+    parts = *parts, buffer.row_episodes(run)[2]
     return [weakref.ref(part) for part in parts]

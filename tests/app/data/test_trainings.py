@@ -27,7 +27,7 @@ def test_a_training_is_started_and_stopped(tmp_path: Path) -> None:
     begun = trainings.start(words)
     try:
         wait_for(lambda: RunReader(tmp_path / "mine").status.env_step > 20)
-        assert not trainings.gone(tmp_path / "mine")
+        assert not trainings.has_ended(tmp_path / "mine")
         trainings.stop(Store(tmp_path), "mine")
         begun.process.wait(WAIT_S)
     finally:
@@ -35,7 +35,7 @@ def test_a_training_is_started_and_stopped(tmp_path: Path) -> None:
     run = RunReader(tmp_path / "mine")
     assert run.status.state == "stopped"
     assert "resume" in run.status.reason
-    assert trainings.gone(tmp_path / "mine")
+    assert trainings.has_ended(tmp_path / "mine")
     with pytest.raises(UserError, match="nothing to stop"):
         trainings.stop(Store(tmp_path), "mine")
 

@@ -16,14 +16,14 @@ from studio_runs import PENDULUM_TOM, info
 from app.data import readers
 from app.data.exams import Exams
 from app.figures.base import decimate, relative_scale
-from app.figures.curves import CORE, POINTS, Axes, alone, group_curves
+from app.figures.curves import CORE, POINTS, Axes, group_curves, single_run_group
 from app.figures.exams import FITS, errors_by_age, footprint_error_return
-from app.figures.replay import moments_figure
+from app.figures.replay import observation_windows
 from app.figures.statistics import improvement
 from app.figures.weights import (
     MAP_COLUMNS,
+    median_profiles,
     over_fits,
-    probe_profiles,
     weight_profile,
 )
 from app.theme import learner_colour, learner_symbol
@@ -112,7 +112,7 @@ def test_a_log_axis_says_what_it_leaves_out_and_keeps_bands_above_zero() -> None
     assert line.y.tolist() == pytest.approx(group.mean.tolist())
     assert band.y.min() == 2  # the smallest positive value of the line and of the band
     assert notes(figure) == ["2 of 3 values at or below zero: not on a log axis"]
-    single = [alone(curve, curve.run_id) for curve in curves]
+    single = [single_run_group(curve, curve.run_id) for curve in curves]
     figure = group_curves(single, "x", 300, singles=False, axes=Axes(log_x=True, log_y=True))
     assert notes(figure) == ["4 of 9 values at or below zero: not on a log axis"]
     assert not notes(group_curves(single, "x", 300, singles=False))
@@ -120,7 +120,7 @@ def test_a_log_axis_says_what_it_leaves_out_and_keeps_bands_above_zero() -> None
 
 def test_profiles_on_a_log_axis_end_at_a_hundredth_of_uniform() -> None:
     values = np.array([[0.0, 0.0, 2.0, 1.0], [0.0, 1.0, 4.0, 1.0]])
-    band, line = traces(probe_profiles({"tom": values}, 0, 300))
+    band, line = traces(median_profiles({"tom": values}, 0, 300))
     assert band.y.tolist() == [0.01, 1, 4, 1, 1, 2, 0.01, 0.01]
     assert line.y.tolist() == [0.01, 0.5, 3, 1]
     assert line.customdata.tolist() == [0, 0.5, 3, 1]
@@ -168,9 +168,9 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
     drawn = [
         weight_profile(bins[last], "tom", 300, keep=run_id),
         over_fits([("a", curve, profiles)], "light", 400),
-        probe_profiles({"tom": bins}, 0, 300, keep=run_id),
+        median_profiles({"tom": bins}, 0, 300, keep=run_id),
         errors_by_age([("a", "tom", bins[last])], 5, 300, keep=run_id),
-        moments_figure(bins[None], bins[None], ["a"], 100, keep=run_id),
+        observation_windows(bins[None], bins[None], ["a"], 100, keep=run_id),
         improvement(WINS.head(1), ["red"], 200, run_id),
     ]
     return [figure.to_dict()["layout"]["uirevision"] for figure in drawn]
@@ -245,8 +245,8 @@ def test_every_fit_is_a_point_in_its_learners_colour() -> None:
 def test_fits_that_are_left_out_are_said_and_names_from_files_are_words() -> None:
     (said,) = notes(footprint_error_return([TOM, MLE], 300))
     assert "2 of 6" in said
-    assert notes(footprint_error_return([TOM.at(TOM.telling)], 300)) == []
-    figure = footprint_error_return([TOM.at(np.zeros(2 * FITS, np.int64))], 300)
+    assert notes(footprint_error_return([TOM.subset(TOM.informative)], 300)) == []
+    figure = footprint_error_return([TOM.subset(np.zeros(2 * FITS, np.int64))], 300)
     assert len(points(figure, "tom")[1]["x"]) == FITS
     assert "1,500 of 3,000" in notes(figure)[0]
     named = replace(TOM, run_id="<img src=x>", group="<b>x")

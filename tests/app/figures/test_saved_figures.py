@@ -16,7 +16,7 @@ from matplotlib.markers import MarkerStyle
 from PIL import Image
 
 from app import theme
-from app.figures.curves import GAP, Axes, group_curves, label_ends, looks_of, moved_apart
+from app.figures.curves import GAP, Axes, group_curves, label_ends, spread_apart, styles_of
 from app.figures.paper import KINDS, SYMBOLS, WIDTHS, paper_figure
 from tom.analysis.curves import Curve, Group, aggregate
 
@@ -34,8 +34,8 @@ def group(learner: str, end: float, runs: int = 3, lowest: float = 0.0) -> Group
 
 
 def labelled(groups: list[Group], axes: Axes = Axes()) -> go.Figure:  # noqa: B008 (it is frozen)
-    looks = looks_of((one.env, one.kind) for one in groups)
-    figure = group_curves(groups, "eval/return", 300, singles=False, axes=axes, looks=looks)
+    looks = styles_of((one.env, one.kind) for one in groups)
+    figure = group_curves(groups, "eval/return", 300, singles=False, axes=axes, styles=looks)
     return label_ends(figure, groups, looks, axes)
 
 
@@ -48,7 +48,7 @@ def labels(figure: go.Figure) -> list[dict[str, Any]]:
 @given(st.lists(st.floats(0, 300), min_size=1, max_size=8), st.floats(1, 20))
 def test_places_are_moved_apart_and_keep_their_order(places: list[float], gap: float) -> None:
     before = np.array(places)
-    after = moved_apart(before, gap)
+    after = spread_apart(before, gap)
     assert (np.diff(after[np.argsort(before, kind="stable")]) > 0.95 * gap).all()
     apart = np.diff(np.sort(before))
     if not len(apart) or apart.min() >= gap:
@@ -62,7 +62,7 @@ def test_a_line_is_named_at_its_end_with_its_runs_in_its_colour() -> None:
     names = "TOM (3)", "MLE, &lt;img src=x&gt; (1)"
     for label, one, words in zip(labels(figure), groups, names, strict=True):
         assert label["text"].endswith(words)
-        assert looks_of([(one.env, one.kind)])[one.kind].colour in label["text"]
+        assert styles_of([(one.env, one.kind)])[one.kind].colour in label["text"]
         assert label["y"] == pytest.approx(one.mean[-1])  # far from the other
 
 
@@ -123,7 +123,7 @@ def test_a_paper_s_figure_has_the_width_of_its_columns_and_the_page_s_words(widt
     assert Image.open(io.BytesIO(files["png"])).width == round(600 * inches)
     words = re.findall(r"<text[^>]*>([^<]+)</text>", svg)
     assert {"TOM (3)", "MLE (3)", "env steps", "Return", "20k"} <= {*words}
-    for look in looks_of((one.env, one.kind) for one in GROUPS).values():
+    for look in styles_of((one.env, one.kind) for one in GROUPS).values():
         assert look.colour in svg.lower()
 
 

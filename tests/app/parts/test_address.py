@@ -7,14 +7,14 @@ PAGE = """
 import streamlit as st
 from app.parts import address
 
-address.visit("page")
+address.enter_page("page")
 first = address.choose_one(st.selectbox, "First", ["a", "b"], "first", "a", str.upper)
 if first == "b":
     address.choose_many("Then", ["x", "y", "z"], "then", usual=["x"])
 address.switch("On", "on", usual=True)
 address.text_input("Words", "words")
 st.session_state["seen"] = address.value_of("own", list)
-address.keep("own", st.session_state["own"])
+address.write("own", st.session_state["own"])
 """
 
 
@@ -72,7 +72,7 @@ def test_an_address_chooses_no_more_than_the_page_takes() -> None:
 import streamlit as st
 from app.parts import address
 
-address.visit("page")
+address.enter_page("page")
 address.choose_many("Some", list("abcde"), "some", max_selections=2)
 """
     app = AppTest.from_string(script)
@@ -87,7 +87,7 @@ NUMBER = """
 import streamlit as st
 from app.parts import address
 
-address.visit("page")
+address.enter_page("page")
 usual = st.session_state.get("usual", 1.5)
 address.number_input(st.number_input, "Level", "level", usual, st.session_state.get("of"))
 """
@@ -126,7 +126,7 @@ SHARED = """
 import streamlit as st
 from app.parts import address
 
-address.visit(st.session_state.get("page", "one"))
+address.enter_page(st.session_state.get("page", "one"))
 address.choose_one(st.selectbox, "Task", ["ant", "hopper"], "task", "ant")
 address.choose_one(st.selectbox, "Own", ["a", "b"], "own", "a")
 """
@@ -169,7 +169,7 @@ from app.parts import address
 def part():
     address.choose_one(st.selectbox, "Part", ["a", "b"], "part", "a")
 
-address.visit("page")
+address.enter_page("page")
 part()
 address.switch("Whole", "whole")
 """

@@ -34,7 +34,7 @@ def test_defaults_are_the_presets() -> None:
     ("words", "numbers"), [("0", [0]), ("0-2", [0, 1, 2]), ("3, 1 1-2", [3, 1, 2])]
 )
 def test_seeds(words: str, numbers: list[int]) -> None:
-    assert form.seeds(words) == numbers
+    assert form.parse_seeds(words) == numbers
 
 
 @pytest.mark.parametrize(
@@ -42,18 +42,18 @@ def test_seeds(words: str, numbers: list[int]) -> None:
 )
 def test_words_that_are_no_seeds(words: str) -> None:
     with pytest.raises(UserError, match="0-2"):
-        form.seeds(words)
+        form.parse_seeds(words)
 
 
 def test_a_training_that_only_explores_is_refused() -> None:
     with pytest.raises(UserError, match="all exploration"):
-        form.command("hopper", "tom", "paper", 0, {"steps": "12"}, "runs")
+        form.train_arguments("hopper", "tom", "paper", 0, {"steps": "12"}, "runs")
     few = {"steps": "12", "exploration_steps": "10"}
-    assert "--steps=12" in form.command("hopper", "tom", "paper", 0, few, "runs")
-    assert form.command("road-and-rocks", "tom", "paper", 0, {"steps": "12"}, "runs")
+    assert "--steps=12" in form.train_arguments("hopper", "tom", "paper", 0, few, "runs")
+    assert form.train_arguments("road-and-rocks", "tom", "paper", 0, {"steps": "12"}, "runs")
 
 
 def test_the_command_to_go_on_names_the_store(store: Path, show: Show) -> None:
     show(Path("my runs"))
-    words = start.resume(info(store, PENDULUM_TOM))
+    words = start.resume_command(info(store, PENDULUM_TOM))
     assert words == f"tom train --resume {PENDULUM_TOM} --store 'my runs'"

@@ -14,7 +14,7 @@ from studio_runs import PENDULUM_TOM, altered, info, trains_elsewhere
 
 from app.data import readers
 from app.parts import scope
-from app.parts.scope import ALIKE, LINES, Scope, matching
+from app.parts.scope import CUT_SHORT, LINES, Scope, matching
 from tom.analysis.settings import USUAL
 from tom.record import layout, manage
 from tom.record.reader import RunReader
@@ -30,7 +30,7 @@ def state(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[str]]:
     eyes: dict[str, list[str]] = {"hide": [], "show": []}
     monkeypatch.setattr(scope.st, "session_state", eyes)
     monkeypatch.setattr(scope.address, "value_of", lambda key, _: eyes.get(key, []))
-    monkeypatch.setattr(scope.address, "keep", lambda *_: None)
+    monkeypatch.setattr(scope.address, "write", lambda *_: None)
     return eyes
 
 
@@ -61,8 +61,8 @@ def test_an_eye_hides_and_shows_a_run_or_a_group(store: Path, state: dict[str, l
     assert after(scope.toggle, PENDULUM_TOM) == [MLE, PENDULUM_TOM]  # opened with its group
     assert after(scope.toggle, SECOND) == [MLE, PENDULUM_TOM, SECOND]
     assert state == {"hide": [], "show": []}
-    assert after(scope._alone, SECOND) == [SECOND]
-    assert after(scope._alone, "MLE") == [MLE]
+    assert after(scope._show_alone, SECOND) == [SECOND]
+    assert after(scope._show_alone, "MLE") == [MLE]
     assert after(scope.toggle, "TOM") == [MLE, PENDULUM_TOM, SECOND]
 
 
@@ -101,8 +101,8 @@ def test_a_run_that_ended_well_before_the_others_does_not_count_unless_it_goes_o
     whole, other = info(store, PENDULUM_TOM), info(store, SECOND)
     end = whole.status.env_step
     for at, state, cut in (
-        (ALIKE * end - 1, "stopped", True),
-        (ALIKE * end + 1, "stopped", False),
+        (CUT_SHORT * end - 1, "stopped", True),
+        (CUT_SHORT * end + 1, "stopped", False),
         (1, "finished", False),
     ):
         status = replace(other.status, env_step=int(at), state=state)
@@ -118,7 +118,7 @@ def test_one_run_is_the_chosen_one_else_the_most_usual_of_those_that_are_shown(
     runs = pendulums(store)
 
     def one(suits: Callable[[RunReader], bool] = lambda run: True) -> str:
-        found = scope._scope(runs, USUAL).one(suits, lambda run: run.run_id)
+        found = scope._scope(runs, USUAL).choose_run(suits, lambda run: run.run_id)
         return found.run_id if found else ""
 
     assert one() == MLE

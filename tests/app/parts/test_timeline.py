@@ -9,9 +9,9 @@ PAGE = """
 import streamlit as st
 from app.parts import address, timeline
 
-address.visit("page")
+address.enter_page("page")
 stops = st.session_state.get("stops", [100, 200, 300])
-step = timeline.chosen(stops)
+step = timeline.chosen_step(stops)
 st.session_state["shown"] = step
 timeline.draw(stops[::2], stops[1::2], step)
 """

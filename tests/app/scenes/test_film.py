@@ -12,8 +12,8 @@ from studio_pages import draw
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import readers
-from app.scenes.film import body, cinema, ghosts, may_be_told, story
-from app.servers.cinema import opened, video
+from app.scenes.film import cinema, ghost_film, has_story, robot_shapes, story
+from app.servers.cinema import film_tab, video
 from tom.envs import task
 from tom.envs.scene import Model, model
 from tom.errors import UserError
@@ -42,7 +42,7 @@ def test_a_story_is_what_the_run_recorded(store: Path) -> None:
 
 
 def test_robots_stand_on_the_floor_as_the_simulator_has_them() -> None:
-    found = body(model("hopper"), np.array([[0, 1.25, 0, 0, 0, 0]], np.float32))
+    found = robot_shapes(model("hopper"), np.array([[0, 1.25, 0, 0, 0, 0]], np.float32))
     ends = numbers(found["ends"], "<i2").reshape(*found["shape"], 2, 3)
     radius = np.array(found["radius"])[:, None]
     lowest = (ends[0, ..., 2] - radius).min()
@@ -57,7 +57,7 @@ def test_every_kind_of_solid_is_a_thick_line_along_its_length() -> None:
       <geom type="cylinder" size=".1 .5" euler="90 0 0"/>
       <geom type="box" size=".6 .1 .2" euler="0 0 90"/>
     </body></worldbody></mujoco>"""
-    found = body(Model(mujoco.MjModel.from_xml_string(xml), 0.01), np.zeros((1, 0)))  # pyright: ignore[reportAttributeAccessIssue]
+    found = robot_shapes(Model(mujoco.MjModel.from_xml_string(xml), 0.01), np.zeros((1, 0)))  # pyright: ignore[reportAttributeAccessIssue]
     ends = numbers(found["ends"], "<i2").reshape(*found["shape"], 2, 3)
     assert found["radius"] == [100, 200, 100, 150]
     length = np.abs(ends[0, :, 1] - ends[0, :, 0])
@@ -75,7 +75,7 @@ def test_the_page_asks_nobody_for_anything(store: Path) -> None:
 
 
 def test_road_and_rocks_and_runs_without_a_buffer_have_no_story(store: Path) -> None:
-    assert not may_be_told(info(store, ROAD_TOM))
+    assert not has_story(info(store, ROAD_TOM))
     with pytest.raises(UserError, match="road-and-rocks"):
         story(info(store, ROAD_TOM))
 
@@ -84,7 +84,7 @@ def test_ghosts_stand_beside_the_episode() -> None:
     qpos = np.zeros((5, 6), np.float32)
     qpos[:, 1] = 1.25
     kept = {"real": qpos, "x1": qpos, "x0": qpos, "dt": np.array(0.008)}
-    page = ghosts((task("hopper"), model("hopper")), kept, 0.0, "region x 0", "tom", "light")
+    page = ghost_film((task("hopper"), model("hopper")), kept, 0.0, "region x 0", "tom", "light")
     assert page.count('"name":') == 3
     assert "region x 0" in page
 
@@ -103,7 +103,7 @@ def test_the_page_offers_the_film_under_the_name_that_the_run_has_now(own: Path)
 def test_the_film_plays_without_a_server_and_becomes_an_mp4(store: Path) -> None:
     run = info(store, PENDULUM_TOM)
     page = cinema(story(run), run.learner, "light", 20.0)
-    with opened(page) as tab:
+    with film_tab(page) as tab:
         asked: list[str] = []
         tab.on("request", lambda request: asked.append(request.url))
         first, last = (tab.evaluate(PICTURE, seconds) for seconds in (0, 20))

@@ -16,7 +16,7 @@ from websockets.sync.client import ClientConnection, unix_connect
 from websockets.typing import Subprotocol
 
 from app.links import Links
-from app.scenes.control import Clock, ReplayChoice, Selection, Wish, clock, listen
+from app.scenes.control import Clock, Command, ReplayChoice, Selection, clock, listen
 from app.scenes.frame import Frame
 from app.scenes.replay import ReplayFrame
 from app.scenes.server import SceneServer
@@ -81,8 +81,8 @@ def test_what_was_to_play_before_its_frame_connected_plays_then(served: SceneSer
 
 
 def test_a_page_plays_pauses_and_asks_where_its_episode_is(served: SceneServer) -> None:
-    def wish(asked: int, wish: Wish, frame: int) -> Selection:
-        return Selection(ReplayChoice(PENDULUM_TOM, 400, 0, frame, 25, asked=asked, wish=wish))
+    def wish(asked: int, wish: Command, frame: int) -> Selection:
+        return Selection(ReplayChoice(PENDULUM_TOM, 400, 0, frame, 25, request=asked, command=wish))
 
     assert served.clock(PAGE) is None
     served.select(PAGE, wish(0, "go", 3))
@@ -90,15 +90,15 @@ def test_a_page_plays_pauses_and_asks_where_its_episode_is(served: SceneServer) 
         wait_for(lambda: served.clock(PAGE) == Clock(3, playing=False))
         served.select(PAGE, wish(1, "play", 3))
         served.tick(2 * only_frame(served)._replay.dt)  # pyright: ignore[reportOptionalMemberAccess]
-        assert served.clock(PAGE) == Clock(5, playing=True, asked=1)
+        assert served.clock(PAGE) == Clock(5, playing=True, request=1)
         served.select(PAGE, wish(2, "pause", 5))
-        assert served.clock(PAGE) == Clock(5, playing=False, asked=2)
+        assert served.clock(PAGE) == Clock(5, playing=False, request=2)
         served.select(PAGE, wish(3, "go", 3))  # once more to where it was sent before
-        assert served.clock(PAGE) == Clock(3, playing=False, asked=3)
+        assert served.clock(PAGE) == Clock(3, playing=False, request=3)
 
 
 def test_a_page_asks_over_its_socket(tmp_path: Path) -> None:
-    path, told = str(tmp_path / "control"), {"page": Clock(7, playing=True, asked=4)}
+    path, told = str(tmp_path / "control"), {"page": Clock(7, playing=True, request=4)}
     threading.Thread(target=listen, args=(path, print, told.get), daemon=True).start()
     wait_for(partial(answers, path))
     assert clock(path, "page") == told["page"]

@@ -29,7 +29,7 @@ from app.scenes.control import (
     Selection,
     StatesChoice,
     listen,
-    tell,
+    send_selection,
 )
 from app.scenes.road import FRAME_S, LAYERS, REST_S, STRIDE, RoadScene, as_html
 from tom.machine.address import free_port
@@ -135,15 +135,15 @@ def test_a_page_reaches_the_scene_server_and_messages_that_fail_do_not_end_it(
 ) -> None:
     path, heard = told
     Client(path).close()  # as a page does that is killed before it has sent
-    tell(path, "deleted", Selection(RoadChoice()))
+    send_selection(path, "deleted", Selection(RoadChoice()))
     choices = (
         RoadChoice((ROAD_TOM,), 60),
-        ReplayChoice("a", 1, 2, 3, 4, wish="play"),
+        ReplayChoice("a", 1, 2, 3, 4, command="play"),
         StatesChoice("a", (("heaviest", (1, 2), (2.5, 3.0)), ("lightest", (), ()))),
     )
     wanted = [("page", Selection(choice, "dark", compact=True)) for choice in choices]
     for page, selection in wanted:
-        tell(path, page, selection)
+        send_selection(path, page, selection)
     assert [heard.get(timeout=10) for _ in wanted] == wanted
     kinds = {type(record.exc_info[1]).__name__ for record in caplog.records if record.exc_info}
     assert kinds == {"EOFError", "IndexError"}

@@ -35,7 +35,7 @@ START = "curves?task=inverted-pendulum"
 @pytest.mark.quick
 def test_a_visit_to_every_page(visit: Visit, store: Path) -> None:
     page = visit.page
-    page.goto(visit.links.opened(f"replays?run={PENDULUM_TOM}&part=Rerun"))
+    page.goto(visit.links.user_address(f"replays?run={PENDULUM_TOM}&part=Rerun"))
     page.wait_for_url(lambda address: "key" not in address)
     wait_until_drawn(page.locator("iframe").last, 0.03)  # Rerun: the robot, the bars, the curves
 
@@ -167,7 +167,7 @@ def test_the_timeline_moves_numbers_and_profile_before_the_server_hears_of_it(
     fits = profiles.env_step.tolist()
     stops = sorted({*fits, *run.evaluation_steps()})
     page = visit.page
-    page.goto(visit.links.opened(f"attention?run={PENDULUM_TOM}"))
+    page.goto(visit.links.user_address(f"attention?run={PENDULUM_TOM}"))
     for i in range(2):
         page.locator(".js-plotly-plot").nth(i).locator(".nsewdrag").first.wait_for()
     page.evaluate(WATCH)
@@ -201,7 +201,7 @@ def test_the_timeline_moves_numbers_and_profile_before_the_server_hears_of_it(
 
 def test_back_takes_back_one_choice_after_the_other(visit: Visit) -> None:
     page = visit.page
-    page.goto(visit.links.opened(START))
+    page.goto(visit.links.user_address(START))
     drawn(page)
     page.get_by_role("radio", name="Statistics").click()
     settle(page, "part=Statistics")
@@ -247,7 +247,7 @@ CASES = (
 
 def opened(visit: Visit, **query: list[str]) -> "Page":
     words = "&".join(f"{key}={quote(one)}" for key, of in query.items() for one in of)
-    visit.page.goto(visit.links.opened(f"attention?run={PENDULUM_TOM}&step=300&{words}"))
+    visit.page.goto(visit.links.user_address(f"attention?run={PENDULUM_TOM}&step=300&{words}"))
     visit.page.locator(".buffer-map[data-loaded]").wait_for()
     filters = len(query.get("where", [])) + len(query.get("outline", []))
     applied = f"document.querySelector('.buffer-map').rows?.bits.size === {filters}"
@@ -258,7 +258,7 @@ def opened(visit: Visit, **query: list[str]) -> "Page":
 def on_the_server(store: Path, where: list[str], outline: list[str]) -> list[int]:
     run = RunReader(store / PENDULUM_TOM)
     source = buffer_map.sources(run)["300"]
-    mask = buffer_map.chosen(run, source, Selection.of(where, outline))
+    mask = buffer_map.selection_mask(run, source, Selection.of(where, outline))
     return (source.first + np.flatnonzero(mask)).tolist()
 
 
@@ -315,7 +315,9 @@ def test_the_map_shows_a_fits_own_weights_as_soon_as_the_timeline_moves(
     visit: Visit,
     store: Path,
 ) -> None:
-    first, last = (buffer_map.fits(RunReader(store / PENDULUM_TOM))[fit] for fit in ("200", "300"))
+    first, last = (
+        buffer_map.fit_sources(RunReader(store / PENDULUM_TOM))[fit] for fit in ("200", "300")
+    )
     page = opened(visit)
     shown = "() => [...document.querySelector('.buffer-map').rows.own.weight]"
     assert page.evaluate(shown) == columns.weight_codes(last.weight).tolist()
@@ -356,7 +358,7 @@ def test_a_choice_that_is_made_again_counts_again(visit: Visit) -> None:
 
 
 def test_every_figure_can_be_saved_after_another(visit: Visit) -> None:
-    visit.page.goto(visit.links.opened("curves?task=inverted-pendulum"))
+    visit.page.goto(visit.links.user_address("curves?task=inverted-pendulum"))
     charts = visit.page.locator(".js-plotly-plot")
     for i in (0, 1, 0):
         charts.nth(i).locator(".nsewdrag").first.wait_for()

@@ -49,7 +49,7 @@ def counted(page: "Page", label: str) -> None:
 
 def test_what_is_hidden_and_zoomed_is_in_the_address_and_back_goes_back(visit: Visit) -> None:
     page = visit.page
-    page.goto(visit.links.opened(START))
+    page.goto(visit.links.user_address(START))
     all_steps = shown_steps(drawn(page))
     page.get_by_role("button", name="Hide MLE", exact=True).click()
     settle(page, "hide=MLE")
@@ -87,7 +87,7 @@ def test_back_takes_back_a_step_and_a_run_and_no_correction(visit: Visit) -> Non
         page.locator(".timeline output").get_by_text(f"step {step:,}", exact=True).wait_for()
         page.wait_for_timeout(1500)
 
-    page.goto(links.opened(START))
+    page.goto(links.user_address(START))
     drawn(page)
     entries = page.evaluate("history.length")
     page.goto(f"{links.address}/attention?run={PENDULUM_TOM}&step={first + 1}")
@@ -126,7 +126,7 @@ def test_hostile_words_are_plain_words_in_the_list_of_runs(visit_own: Visit, own
     visit, path = visit_own, own / PENDULUM_TOM / "config.json"
     change(path, learner=HOSTILE)
     page = visit.page
-    page.goto(visit.links.opened(START))
+    page.goto(visit.links.user_address(START))
     title = page.locator(".runlist .head .name").get_by_text(HOSTILE)
     title.click()
     page.locator(".runlist .run .name").first.wait_for()
@@ -146,7 +146,7 @@ def test_a_chart_follows_its_page_whatever_its_groups_are_called(
     visit, path = visit_own, own / PENDULUM_TOM / "config.json"
     change(path, preset="8.5, #a [b] > 'c' :d")
     page = visit.page
-    page.goto(visit.links.opened("curves?task=inverted-pendulum"))
+    page.goto(visit.links.user_address("curves?task=inverted-pendulum"))
     chart = drawn(page)
     assert seen_lines(chart) == 6  # each of the three is an edge and its inside
     group_by(page, "learner")
@@ -166,7 +166,7 @@ def group_by(page: "Page", what: str) -> None:
 
 def test_an_open_page_takes_up_a_training_that_starts(visit_own: Visit, own: Path) -> None:
     page = visit_own.page
-    page.goto(visit_own.links.opened("?task=inverted-pendulum"))
+    page.goto(visit_own.links.user_address("?task=inverted-pendulum"))
     page.get_by_text("Does it help?").wait_for()
     trains_elsewhere(own / PENDULUM_TOM)
     stop = page.get_by_role("button", name="Stop", exact=False)
@@ -183,7 +183,7 @@ def test_a_curve_follows_its_run_and_keeps_what_the_reader_has_zoomed_to(
 ) -> None:
     page, run = visit_own.page, own / PENDULUM_TOM
     trains_elsewhere(run)
-    page.goto(visit_own.links.opened(f"curves?run={PENDULUM_TOM}&find={PENDULUM_TOM}"))
+    page.goto(visit_own.links.user_address(f"curves?run={PENDULUM_TOM}&find={PENDULUM_TOM}"))
     curve = drawn(page)
     zoomed = zoom_in(curve)
     trains_elsewhere(run)
@@ -201,7 +201,7 @@ def record_another_return(run: Path, step: int) -> None:
 
 def test_enter_takes_one_run_and_not_every_match(visit: Visit) -> None:
     page = visit.page
-    page.goto(visit.links.opened("curves?part=Runs&task=inverted-pendulum"))
+    page.goto(visit.links.user_address("curves?part=Runs&task=inverted-pendulum"))
     field = page.get_by_role("combobox", name="Runs to label or to move to the trash")
     field.click()
     field.press_sequentially("TOM")

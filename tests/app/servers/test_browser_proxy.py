@@ -59,7 +59,7 @@ def test_a_visit_behind_a_proxy_stays_below_its_path(store: Path, browser: "Brow
         page.context.on(
             "console", lambda said: errors.append(said.text) if said.type == "error" else None
         )
-        page.goto(f"{address}/{links.opened().removeprefix(f'{links.address}/')}")
+        page.goto(f"{address}/{links.user_address().removeprefix(f'{links.address}/')}")
         page.get_by_text("Does it help?").wait_for()
         page.get_by_text("Start a training").click()  # the key has come along
         page.get_by_role("button", name="Start", exact=True).wait_for()

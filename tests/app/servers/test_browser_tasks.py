@@ -61,7 +61,7 @@ def links(own_store: Path, browser: "Browser") -> Iterator[Links]:
 def page(links: Links, browser: "Browser", own_store: Path) -> Iterator["Page"]:
     page = browser.new_page(viewport={"width": 1280, "height": 1000}, base_url=links.address)
     page.set_default_timeout(1000 * DRAWN_S)
-    page.goto(links.opened())
+    page.goto(links.user_address())
     yield page
     page.close()
     for run in Store(own_store).runs():

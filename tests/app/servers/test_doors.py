@@ -56,7 +56,7 @@ def elsewhere() -> Iterator[tuple[int, list[str]]]:
 def foreign(links: Links, browser: "Browser") -> Iterator["Page"]:
     """A page of another port, in a browser that has the studio open and holds its key."""
     with elsewhere() as (port, _), browser.new_context() as context:
-        context.new_page().goto(links.opened())
+        context.new_page().goto(links.user_address())
         page = context.new_page()
         page.goto(f"http://127.0.0.1:{port}/")
         yield page
@@ -75,7 +75,7 @@ def test_who_opened_the_printed_address_may_act_and_so_do_their_other_tabs(
 ) -> None:
     with browser.new_context() as context:
         first, second = context.new_page(), context.new_page()
-        first.goto(links.opened())
+        first.goto(links.user_address())
         assert may_start(first)
         assert links.key not in first.url
         second.goto(links.address)
@@ -93,7 +93,7 @@ def test_another_browser_looks_on(given: str, links: Links, browser: "Browser") 
 def test_another_port_gets_no_key_from_the_browser(links: Links, browser: "Browser") -> None:
     with elsewhere() as (port, cookies), browser.new_context() as context:
         page = context.new_page()
-        page.goto(links.opened())
+        page.goto(links.user_address())
         assert may_start(page)
         page.goto(f"http://127.0.0.1:{port}/")
         stored = page.evaluate("JSON.stringify(localStorage) + document.cookie")

@@ -82,7 +82,7 @@ def scenes_of(pid: int, after: int = 0) -> int:
 
 
 def test_the_page_server_says_that_its_port_was_taken_while_it_began(tmp_path: Path) -> None:
-    links = launcher.plan(Links(str(tmp_path)), str(tmp_path))
+    links = launcher.with_port_and_key(Links(str(tmp_path)), str(tmp_path))
     with socket.socket() as passer_by:
         passer_by.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         passer_by.bind(("127.0.0.1", links.port))

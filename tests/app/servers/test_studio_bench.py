@@ -41,7 +41,7 @@ def test_the_store_is_as_large_as_the_measurement_says(tmp_path: Path) -> None:
 def test_the_number_of_runs_reaches_the_measurement(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(bench, "hand_over", lambda _, words: main(words))
+    monkeypatch.setattr(bench, "exec_module", lambda _, words: main(words))
     with pytest.raises(SystemExit) as ended:
         tom(["bench", "studio", "--runs", "2", "--json"])
     assert ended.value.code == 2

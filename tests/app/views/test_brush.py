@@ -13,7 +13,7 @@ from app.data import buffer_map, weighings
 from app.data.weighings import Brushed
 from app.figures.why import error_bars
 from app.views.attention.in_buffer import table
-from app.views.attention.why import command
+from app.views.attention.why import brush_arguments
 from tom.analysis.brush import REGION, REST
 from tom.cli import main
 from tom.record.decode import read_table
@@ -29,7 +29,7 @@ def made(store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("brush")
     rows = folder / "rows.txt"
     rows.write_text("\n".join(map(str, range(150, 300))))
-    words = command(PENDULUM_TOM, str(rows), FIT, "", (0, 4), str(store))
+    words = brush_arguments(PENDULUM_TOM, str(rows), FIT, "", (0, 4), str(store))
     words += ["--seeds", "0", "1", "--out", str(folder / "made")]
     assert main(words) == 0
     return folder / "made"
@@ -72,7 +72,7 @@ def test_a_brush_is_not_shown_as_several_learners_on_the_buffer(brushed: Path) -
     run = info(brushed, PENDULUM_TOM)
     assert weighings.of_run(run, 400) == []
     assert [one.name for one in weighings.of_run(run, 400, brush=True)] == ["made"]
-    assert weighings.weighed(str(brushed)) == set()
+    assert weighings.weighed_run_ids(str(brushed)) == set()
     app = draw("attention", part="Every learner on one buffer", run=PENDULUM_TOM, weighed="made")
     assert not figures(app)
 
@@ -143,7 +143,9 @@ def test_rows_that_are_none_are_one_line(
 ) -> None:
     if rows is not None:
         (tmp_path / "rows").write_text(rows)
-    assert main(command(PENDULUM_TOM, str(tmp_path / "rows"), FIT, "", (0,), str(store))) == 2
+    assert (
+        main(brush_arguments(PENDULUM_TOM, str(tmp_path / "rows"), FIT, "", (0,), str(store))) == 2
+    )
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1

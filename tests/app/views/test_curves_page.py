@@ -17,7 +17,7 @@ from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 from app.data.tables import default_level
 from app.figures import statistics
-from app.figures.curves import Look
+from app.figures.curves import Style
 from app.figures.statistics import Profile
 from app.links import Links
 from app.parts import shortlinks
@@ -25,8 +25,8 @@ from app.parts.plot import Point, View
 from app.servers.pages import routes
 from app.theme import learner_colour
 from app.views import curves as page
-from app.views.curves import measure, numbers, unlike_ends
-from app.views.curves.measure import in_order
+from app.views.curves import ends_differ, measure, numbers
+from app.views.curves.measure import favourites_first
 from tom.analysis.curves import Curve, Group, aggregate
 from tom.analysis.scores import BEST, FINAL
 from tom.plugins import CHARTS
@@ -39,7 +39,7 @@ PENDULUM = "inverted-pendulum"
 PENDULUM_MLE = "pendulum-mle-0"
 SEEDS = (PENDULUM_TOM, "pendulum-tom-1")
 BOTH, ALONE = "TOM (n = 2)", "TOM (1 seed, no band)"
-LOOKS = tuple(Look(name.upper(), learner_colour(name), "solid", "o") for name in ("tom", "mle"))
+LOOKS = tuple(Style(name.upper(), learner_colour(name), "solid", "o") for name in ("tom", "mle"))
 
 
 def curves(part: str = "Curves", task: str = PENDULUM, **query: str | list[str]) -> AppTest:
@@ -94,7 +94,7 @@ def test_exams_of_seeds_are_put_together_at_the_steps_of_their_fits(store: Path)
     assert "best" not in app.dataframe[0].value.columns
     names = ["critic/q", "exam/footprint", "env_step", "exam/error", "exam/nll", "actor/loss"]
     first_ones = ["exam/error", "exam/footprint"]
-    assert in_order(names) == [*first_ones, "actor/loss", "critic/q", "exam/nll"]
+    assert favourites_first(names) == [*first_ones, "actor/loss", "critic/q", "exam/nll"]
 
 
 def test_median_with_the_band_of_a_deviation(store: Path) -> None:
@@ -212,9 +212,9 @@ def test_a_zoom_is_read_as_it_was_written(low: float, width: float, axis: str) -
     name = "" if axis == "x" else "mine/a~b"
     low, high = (float(f"{end:.5g}") for end in (low, low + width))
     seen = {name: (low, high)} if low < high else {}
-    assert measure.zoom_of([f"{name}~{low:.5g}~{high:.5g}"]) == seen
+    assert measure.parse_zoom([f"{name}~{low:.5g}~{high:.5g}"]) == seen
     for nothing in ("", "ant", "ant~1~2~", "ant~2~1", "ant~nan~1", "~~~~", "ant~0~inf"):
-        assert measure.zoom_of([nothing]) == {}
+        assert measure.parse_zoom([nothing]) == {}
 
 
 def test_a_zoom_is_in_the_address_and_its_x_axis_is_that_of_all_panels() -> None:
@@ -234,9 +234,9 @@ def test_a_zoom_out_of_one_panel_leaves_the_heights_of_the_others(
     state: dict = {}
     monkeypatch.setattr(measure.st, "session_state", state)
     seen = {"": (0.0, 9.0), "a": (1.0, 2.0), "b": (3.0, 4.0)}
-    measure.remember(seen, "a", View())
+    measure.set_zoom(seen, "a", View())
     assert state[measure.ZOOM] == {"b": (3.0, 4.0)}
-    measure.remember(seen, "b", View((5.0, 6.0), None))
+    measure.set_zoom(seen, "b", View((5.0, 6.0), None))
     assert state[measure.ZOOM] == {"": (5.0, 6.0), "a": (1.0, 2.0)}
 
 
@@ -328,18 +328,18 @@ def test_a_profile_has_the_same_band_beside_any_other_group(
     for looks in (LOOKS, LOOKS[::-1]):
         numbers._profiles(looks, [scores[look] for look in looks], FINAL, "")
     for look in LOOKS:
-        before, after = [(one.low, one.high) for one in shown if one.look == look]
+        before, after = [(one.low, one.high) for one in shown if one.style == look]
         assert np.array_equal(before, after)
 
 
-def test_rows_that_end_at_different_steps_are_told() -> None:
+def test_rows_that_ends_differ_are_told() -> None:
     def group(learner: str, last: int, env: str = "ant") -> Group:
         step = np.arange(100, last + 1, 100)
         return aggregate([Curve(learner, env, learner, "paper", 0, step, np.ones(len(step)))])
 
-    assert unlike_ends([group("tom", 4000), group("mle", 2000)])
-    assert not unlike_ends([group("tom", 4000), group("mle", 3900)])
-    assert not unlike_ends([group("tom", 4000), group("mle", 2000, "hopper")])
+    assert ends_differ([group("tom", 4000), group("mle", 2000)])
+    assert not ends_differ([group("tom", 4000), group("mle", 3900)])
+    assert not ends_differ([group("tom", 4000), group("mle", 2000, "hopper")])
 
 
 # Settings and runs

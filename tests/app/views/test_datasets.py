@@ -12,7 +12,7 @@ from studio_pages import Show, draw, figures, in_buffer, on_one_buffer
 
 from app.data import weighings
 from app.router import VIEWS, View
-from app.scenes.states import reader_of
+from app.scenes.states import find_run
 from tom.cli import main
 from tom.envs import task
 from tom.errors import UserError
@@ -100,8 +100,8 @@ def test_pages_do_without_any_run(view: View):
 
 
 def test_the_3d_scene_finds_the_rows(weighed: Path):
-    run = reader_of(str(weighed), named(weighed, "my buffer"))
+    run = find_run(str(weighed), named(weighed, "my buffer"))
     assert (run.path.name, run.env) == ("second", ENV)
     assert len(run.buffer()[0]) == N
     with pytest.raises(UserError, match="no data set"):
-        reader_of(str(weighed), "my buffer-00000000")
+        find_run(str(weighed), "my buffer-00000000")

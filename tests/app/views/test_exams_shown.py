@@ -24,8 +24,8 @@ from studio_runs import PENDULUM_TOM, altered, info, set_status
 
 from app.data import buffer
 from app.data.exams import Exams, ranking
-from app.views.answer.numbers import in_turn, of_like_length, table, verdict
-from app.views.attention import about_weights, of_which_weights
+from app.views.answer.numbers import alternating_groups, split_by_length, table, verdict
+from app.views.attention import difference_from_recorded, footprint_sentence
 from tom.readable import UNKNOWN, short
 from tom.record import checkpoint
 from tom.record.reader import RunReader
@@ -102,7 +102,7 @@ def test_a_footprint_in_words(
 ) -> None:
     values = {"footprint": footprint, "footprint_uniform": uniform, "footprint_noise": noise}
     found = {f"exam/{name}": value for name, value in values.items() if value is not None}
-    assert said in about_weights(found)
+    assert said in footprint_sentence(found)
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_a_footprint_in_words(
 def test_an_exam_says_where_it_is_of_other_weights(
     learner: str, settings: Mapping[str, str], differs: bool
 ) -> None:
-    assert bool(of_which_weights(learner, settings)) == differs
+    assert bool(difference_from_recorded(learner, settings)) == differs
 
 
 def learners(errors: Mapping[str, list[float]]) -> list[Exams]:
@@ -153,7 +153,7 @@ def test_the_verdict_names_who_errs_least_and_by_how_much() -> None:
 )
 def test_the_verdict_ranks_nobody_within_the_noise(mle: list[float], tom: list[float]) -> None:
     result = ranking(learners({"MLE": mle, "TOM": tom}))
-    assert result.chance > 0.05
+    assert result.p_value > 0.05
     assert "errs least" not in verdict(result)
 
 
@@ -192,15 +192,23 @@ def test_a_buffer_that_cannot_be_read_is_no_error(own: Path) -> None:
 
 def test_models_of_all_groups_come_before_a_groups_second_one(store: Path) -> None:
     runs = [info(store, name) for name in (OTHER_TOM, PENDULUM_TOM, MLE)]
-    assert [run.run_id for run in in_turn(runs[1], runs)] == [PENDULUM_TOM, OTHER_TOM, MLE]
-    assert [run.run_id for run in in_turn(runs[2], runs)] == [MLE, OTHER_TOM, PENDULUM_TOM]
+    assert [run.run_id for run in alternating_groups(runs[1], runs)] == [
+        PENDULUM_TOM,
+        OTHER_TOM,
+        MLE,
+    ]
+    assert [run.run_id for run in alternating_groups(runs[2], runs)] == [
+        MLE,
+        OTHER_TOM,
+        PENDULUM_TOM,
+    ]
 
 
 def test_runs_of_another_length_are_left_out_and_named(store: Path, own: Path) -> None:
     runs = [info(store, run_id) for run_id in (PENDULUM_TOM, OTHER_TOM, MLE)]
     short = altered(runs[0], status=replace(runs[0].status, env_step=150))
-    assert of_like_length([short, *runs]) == (runs, [short])
-    assert of_like_length([]) == ([], [])
+    assert split_by_length([short, *runs]) == (runs, [short])
+    assert split_by_length([]) == ([], [])
     set_status(own / OTHER_TOM, env_step=90)
     app = behind()
     assert any("TOM s1" in line and "90" in line for line in left_out(app))

@@ -16,7 +16,7 @@ from studio_pages import Show, draw, figures
 from studio_runs import PENDULUM_TOM
 
 from app.data import readers, studies
-from app.data.every_way import every_ways
+from app.data.two_axes import verdicts
 from app.data.verdicts import verdict
 from app.links import Links
 from app.parts import jobs
@@ -101,7 +101,7 @@ def test_all_ways_are_drawn_once_both_studies_are_there(
     shutil.copytree(GALLERY / "capacity", tmp_path / "reports" / "capacity")
     app = draw("findings")
     assert len(app.header) == 3
-    found = present(every_ways(studies.listing(studies.FOLDER)).get("capacity"))
+    found = present(verdicts(studies.listing(studies.FOLDER)).get("capacity"))
     ways = [one for panel in found.panels for one in panel.ways]
     drawn = figures(app)[0]["data"]
     assert [(*trace["x"], *trace["y"]) for trace in drawn] == [
@@ -177,7 +177,7 @@ def test_a_study_is_run_from_the_page_and_one_that_fails_says_why(
             change(own / PENDULUM_TOM / layout.CONFIG, preset="paper")
         app.button(key="run returns").click().run()
         assert app.button(key="run returns").disabled
-        jobs.begun()["returns"].process.wait(120)
+        jobs.started_commands()["returns"].process.wait(120)
         app.run()
         assert bool(app.error) == (state == "failed")
     assert [study.name for study in studies.listing(studies.FOLDER)] == ["returns"]

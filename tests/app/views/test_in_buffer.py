@@ -23,7 +23,7 @@ from app.data.columns import Column
 from app.data.selection import Selection, between, inside
 from app.parts import timeline
 from app.scenes import control, solids
-from app.views.attention.in_buffer import listed, table
+from app.views.attention.in_buffer import row_table, table
 from tom.analysis import why as reasons
 from tom.cli import main
 from tom.envs import scene, task
@@ -79,7 +79,7 @@ def test_robots_stand_as_they_were_recorded(store: Path, rows: Rows) -> None:
     ended = (np.asarray(recorded.terminated) != 0) | (np.asarray(recorded.truncated) != 0)
     found = poses(task("inverted-pendulum"), recorded, {}, windows(ended, [7, 200]))
     assert found[:, WINDOW] == pytest.approx(np.asarray(recorded.obs)[[7, 200], :2])
-    robots = solids.of(scene.model("inverted-pendulum"), found)
+    robots = solids.robot_solids(scene.model("inverted-pendulum"), found)
     position, wxyz = robots.position[:, WINDOW], robots.wxyz[:, WINDOW]
     assert position.shape == (2, 3, 3)
     assert np.linalg.norm(wxyz, axis=-1) == pytest.approx(1)
@@ -96,7 +96,7 @@ def selected(store: Path, *where: str, outline: str = "", fit: int = FIT) -> lis
     """The recorded numbers of the rows that the words of an address choose."""
     run = info(store, PENDULUM_TOM)
     source = buffer_map.sources(run)[str(fit)]
-    mask = buffer_map.chosen(run, source, Selection.of(where, [outline]))
+    mask = buffer_map.selection_mask(run, source, Selection.of(where, [outline]))
     return (source.first + np.flatnonzero(mask)).tolist()
 
 
@@ -165,7 +165,7 @@ def test_the_browser_gets_each_array_of_the_buffer(rows: Rows, store: Path) -> N
     given = map_of(in_buffer(run=PENDULUM_TOM, step=str(FIT)))
 
     def array(url: str) -> NDArray[np.uint16]:
-        content = present(cache.array(url.rpartition("/")[2]))
+        content = present(cache.published_array(url.rpartition("/")[2]))
         return np.frombuffer(content, np.uint16)
 
     [source] = [one for one in given["sources"] if one["step"] == FIT]
@@ -178,7 +178,7 @@ def test_the_browser_gets_each_array_of_the_buffer(rows: Rows, store: Path) -> N
     assert back == pytest.approx(known, abs=1e-3)
     last = max(one["step"] for one in given["sources"])
     assert given["planes"][0]["key"] == f"contrast@{last}"
-    assert cache.array("0" * 32) is None
+    assert cache.published_array("0" * 32) is None
 
 
 def test_a_training_may_replace_its_newest_fit_before_the_browser_asks_for_it(own: Path) -> None:
@@ -190,7 +190,7 @@ def test_a_training_may_replace_its_newest_fit_before_the_browser_asks_for_it(ow
     (run / layout.policy(newest["step"])).unlink(missing_ok=True)
     urls = [newest["url"], newest["distance"], *(one["url"] for one in given["planes"][0]["axes"])]
     for url in urls:
-        codes = np.frombuffer(present(cache.array(url.rpartition("/")[2])), np.uint16)
+        codes = np.frombuffer(present(cache.published_array(url.rpartition("/")[2])), np.uint16)
         assert len(codes) >= newest["count"]
     outline = f"{given['planes'][0]['key']} 0,-99;99,-99;99,99;0,99"
     earlier = given["sources"][0]
@@ -202,7 +202,7 @@ def test_map_and_file_have_one_policy_distance_that_of_the_fits_own_policy(store
     given = {one["step"]: one for one in map_of(in_buffer(run=PENDULUM_TOM))["sources"]}
     distances = []
     for fit in RunReader(store / PENDULUM_TOM).policy_steps():
-        content = present(cache.array(given[fit]["distance"].rpartition("/")[2]))
+        content = present(cache.published_array(given[fit]["distance"].rpartition("/")[2]))
         far = columns.decode(np.frombuffer(content, np.uint16), columns.DISTANCE)
         saved = table(run, buffer_map.sources(run)[str(fit)])["policy_distance"].to_numpy()
         assert far == pytest.approx(saved, abs=1e-4)
@@ -228,7 +228,7 @@ def test_the_plane_stays_while_the_timeline_moves(store: Path) -> None:
 def test_a_network_has_a_plane_of_what_it_sees(rows: Rows, store: Path, kind: str) -> None:
     [plane] = map_of(in_buffer(run=PENDULUM_TOM, step=str(FIT), plane=kind))["planes"]
     assert plane["key"] == f"{kind}@"
-    place = present(buffer_map.placed(info(store, PENDULUM_TOM), plane["key"]))
+    place = present(buffer_map.rows_on_plane(info(store, PENDULUM_TOM), plane["key"]))
     assert np.ptp(place.xy, axis=0).min() > 0
     x, y = place.xy.T - place.xy.mean(0)[:, None]
     assert abs(x @ y) < 1e-3 * np.sqrt((x @ x) * (y @ y))  # as of principal components
@@ -316,7 +316,7 @@ def test_a_kept_fit_has_the_terms_of_its_weights(store: Path) -> None:
 
 def test_a_weighing_has_the_terms_of_its_weights(weighed: Path) -> None:
     run = info(weighed, PENDULUM_TOM)
-    (source,) = buffer_map.others(run).values()
+    (source,) = buffer_map.weighing_sources(run).values()
     rows = present(buffer.weighed_rows(run, source.weight, source.end))
     found = why.why_of(run, rows, source)
     assert isinstance(found, why.Why)
@@ -417,7 +417,7 @@ def test_a_row_that_the_buffer_does_not_have_is_dropped(rows: Rows, row: str) ->
 
 def test_the_numbers_of_a_row_are_those_of_the_map_and_the_table(rows: Rows, store: Path) -> None:
     shown = metrics(in_buffer(run=PENDULUM_TOM, step=str(FIT), row="40"))
-    line = listed(info(store, PENDULUM_TOM), rows, np.array([40])).iloc[0]
+    line = row_table(info(store, PENDULUM_TOM), rows, np.array([40])).iloc[0]
     assert shown["its step in its episode"] == str(line["step of the episode"])
     assert (line["row"], line["episode"]) == (rows.first + 40, rows.episode[40] + 1)
     equal = metrics(in_buffer(run="pendulum-mle-0", step=str(FIT), row="5"))

@@ -52,9 +52,9 @@ def test_a_weighing_is_found_by_its_run(weighed: Path) -> None:
     assert weighings.of_run(info(weighed.parents[1], "pendulum-mle-0"), ROWS) == []
     assert weighings.of_run(run, ROWS - 1) == []
     of_step = replace(found, path=weighed.parent / "early", report={**found.report, "step": 1200})
-    assert "1,200" in weighings.called([found, of_step])["early"]
+    assert "1,200" in weighings.titles([found, of_step])["early"]
     twin = replace(found, path=weighed.parent / "twin")
-    assert len({*weighings.called([found, twin]).values()}) == 2
+    assert len({*weighings.titles([found, twin]).values()}) == 2
     table = pd.read_parquet(weighed / "weights.parquet")
     of = found.weights()
     assert set(of) == {(name, seed) for name in ("tom", "pmac", "mle") for seed in (0, 1)}

@@ -51,10 +51,10 @@ def shown(trained: Path, show: Show) -> Path:
 def test_a_robot_is_drawn_from_the_run_folder_alone(shown: Path, run_id: str):
     run = RunReader(shown / run_id)
     replay = present(replays.load(run, 320, 0, 10))
-    assert replay.drawn
+    assert replay.has_scene
     assert replay.imagined is not None
     assert (replay.ghost is not None) == run_id.endswith("Swimmer-v5")
-    driven = solids.of(replay.model, replay.real)
+    driven = solids.robot_solids(replay.model, replay.real)
     assert np.isfinite(driven.position).all()
     assert np.ptp(driven.position, axis=0).max() > 1e-3  # it moves
     app = draw("replays", run=run_id)
@@ -70,11 +70,11 @@ def test_robots_stand_in_the_states_of_a_buffer(shown: Path, run_id: str):
     run = RunReader(shown / run_id)
     recorded, model = run.buffer()[0], scene_of(run)
     assert model is not None
-    assert buffer.drawn(info(shown, run_id))
+    assert buffer.has_robot(info(shown, run_id))
     ended = np.zeros(len(recorded), bool)
     rows = buffer.windows(ended, [20, 120])
     qpos = buffer.poses(task_of(run), recorded, run.recorded().state, rows)
-    robots = solids.of(model, qpos)
+    robots = solids.robot_solids(model, qpos)
     assert len(robots.position) == 2
     assert np.isfinite(robots.floor)
     assert np.abs(robots.position[:, 0] - robots.position[:, 24]).max() > 1e-4
@@ -85,7 +85,7 @@ def test_robots_stand_in_the_states_of_a_buffer(shown: Path, run_id: str):
 def test_without_a_robot_there_are_curves_and_no_empty_scene(shown: Path, run_id: str):
     run = RunReader(shown / run_id)
     replay = present(replays.load(run, 320, 0, 10))
-    assert not replay.drawn
+    assert not replay.has_scene
     assert replay.dt == 0.05
     app = draw("replays", run=run_id, step="320", episode="1")
     assert not app.get("iframe")

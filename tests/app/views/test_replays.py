@@ -98,7 +98,7 @@ def test_road_and_rocks_is_replayed_on_its_map(store: Path) -> None:
     assert replay.ghost is not None
     _, following = stored_model(run).predictor.predict(*first_step(replay))
     assert replay.ghost[1] == pytest.approx(following[0].numpy(), abs=1e-6)
-    driven = solids.of(replay.model, replay.real)
+    driven = solids.robot_solids(replay.model, replay.real)
     assert driven.root[:, :2] == pytest.approx(replay.real, abs=0.01)
 
 

@@ -9,7 +9,7 @@ from studio_pages import array, draw, figures, parts, trace
 from studio_runs import ROAD_MLE, ROAD_TOM, altered, info
 
 from app.data import road
-from app.data.called import names, task, told_apart
+from app.data.run_names import distinct_names, full_names, task_title
 from app.theme import COLUMNS, DIVERGING, rgb
 from tom.readable import percent
 from tom.record.reader import RunReader
@@ -54,9 +54,9 @@ def test_two_runs_are_drawn_side_by_side_on_one_scale(store: Path) -> None:
 
 def test_runs_that_would_be_called_the_same_are_told_apart(store: Path) -> None:
     tom, mle = (RunReader(store / run_id) for run_id in (ROAD_TOM, ROAD_MLE))
-    assert told_apart([tom, mle]) == {ROAD_TOM: "TOM s0", ROAD_MLE: "MLE s0"}
+    assert distinct_names([tom, mle]) == {ROAD_TOM: "TOM s0", ROAD_MLE: "MLE s0"}
     twin = altered(info(store, ROAD_TOM), run_id="twin")
-    assert told_apart([tom, mle, twin]) == {
+    assert distinct_names([tom, mle, twin]) == {
         ROAD_TOM: f"TOM s0, {ROAD_TOM}",
         ROAD_MLE: "MLE s0",
         "twin": "TOM s0, twin",
@@ -64,19 +64,19 @@ def test_runs_that_would_be_called_the_same_are_told_apart(store: Path) -> None:
     other = altered(twin, settings={**twin.settings, "tom.flow": "restart"})
     ours = info(store, ROAD_TOM)
     named = [altered(run, labels=Labels(name="the good one")) for run in (ours, other)]
-    assert told_apart([*named, mle], by_user=True) == {
+    assert distinct_names([*named, mle], by_user=True) == {
         ROAD_TOM: "the good one",
         "twin": "the good one, tom.flow restart",
         ROAD_MLE: "MLE s0",
     }
-    assert told_apart([tom, other]) == {ROAD_TOM: "TOM s0", "twin": "TOM s0, tom.flow restart"}
-    assert names([tom, other])["twin"] == "Road and rocks · TOM · seed 0, tom.flow restart"
+    assert distinct_names([tom, other]) == {ROAD_TOM: "TOM s0", "twin": "TOM s0, tom.flow restart"}
+    assert full_names([tom, other])["twin"] == "Road and rocks · TOM · seed 0, tom.flow restart"
     robot = altered(twin, run_id="robot", env="walker2d")
-    assert told_apart([mle, robot]) == {
+    assert distinct_names([mle, robot]) == {
         ROAD_MLE: "Road and rocks MLE s0",
         "robot": "Walker2d TOM s0",
     }
-    assert [task(env) for env in ("halfcheetah", "ant")] == ["HalfCheetah", "Ant"]
+    assert [task_title(env) for env in ("halfcheetah", "ant")] == ["HalfCheetah", "Ant"]
 
 
 def test_in_either_theme_the_scene_and_the_map_agree_on_what_is_bright() -> None:

@@ -10,7 +10,7 @@ from studio_runs import info
 
 from app.data import readers
 from app.parts.start import progress_line
-from app.parts.widgets import differs, telling
+from app.parts.widgets import has_uneven_weights, interest_key
 from app.views.attention import LEARNERS_ON_IT
 from app.views.curves.runs import overview
 from tom.record import RunReader, Store, layout
@@ -94,14 +94,14 @@ def test_pages_open_with_ones_own_weighing_run_and_else_with_toms_longest_copy(
 ) -> None:
     copies = [run for run in readers.listing(str(GALLERY)).runs if run.small_copy]  # not the demo's
     own = readers.listing(str(store)).runs
-    first = min(copies, key=telling)
+    first = min(copies, key=interest_key)
     assert (first.learner, first.preset) == ("tom", "mended")
     assert first.status.env_step == max(
         run.status.env_step for run in copies if (run.learner, run.preset) == ("tom", "mended")
     )
-    mine = min([*copies, *own], key=telling)
+    mine = min([*copies, *own], key=interest_key)
     assert mine in own
-    assert differs(mine)
+    assert has_uneven_weights(mine)
     uniform = [run for run in copies if run.learner == "mle"]
     longest = max(run.status.env_step for run in uniform)
-    assert min(uniform, key=telling).status.env_step == longest
+    assert min(uniform, key=interest_key).status.env_step == longest

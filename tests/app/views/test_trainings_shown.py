@@ -22,7 +22,7 @@ from studio_runs import (
 
 from app.data import trainings
 from app.parts import jobs, start
-from app.parts.start import NAMED, figures, head, settings_line
+from app.parts.start import MAX_NAMED, card_heading, main_numbers, settings_line
 from tom.record import layout
 from tom.record.lock import acquire
 from tom.training.presets import resolve
@@ -73,11 +73,11 @@ def test_a_card_names_the_preset_and_the_settings_of_its_own(own: Path) -> None:
         chosen = {**usual, "model": {**usual["model"], "hidden": hidden}}
         change(folder / layout.CONFIG, run_id=name, preset=preset, config=chosen)
     runs = {name: info(own, name) for name in "abc"}
-    assert "TOM paper" in head(runs["a"], "paper")
+    assert "TOM paper" in card_heading(runs["a"], "paper")
     assert settings_line(runs["b"]) == "model.hidden 8"
     assert settings_line(runs["c"]) == ""
     assert settings_line(runs["a"]).endswith(" more")
-    assert len(settings_line(runs["a"]).split(", ")) == NAMED + 1
+    assert len(settings_line(runs["a"]).split(", ")) == MAX_NAMED + 1
 
 
 def test_a_run_that_only_explores_has_no_speed(own: Path) -> None:
@@ -87,7 +87,7 @@ def test_a_run_that_only_explores_has_no_speed(own: Path) -> None:
     (folder / layout.METRICS).write_text("".join(json.dumps(row) + "\n" for row in rows))
     trains_elsewhere(folder)
     set_status(folder, env_steps_per_s=0.0)
-    numbers = dict(figures(info(own, PENDULUM_TOM)))
+    numbers = dict(main_numbers(info(own, PENDULUM_TOM)))
     assert numbers["steps / s"] == "-"  # a fit takes no step: that is no speed of 0
     assert numbers["memory"] == "-"  # of a process that is not here
     assert not draw("curves", task="inverted-pendulum", find=PENDULUM_TOM).exception
@@ -97,10 +97,10 @@ def test_a_training_of_this_machine_has_a_size_and_one_of_this_studio_a_log(own:
     with closing(acquire(own / SECOND)):
         alive = {"state": "running", "heartbeat": time.time(), "pid": os.getpid()}
         set_status(own / SECOND, **alive)
-        assert dict(figures(info(own, SECOND)))["memory"].endswith("B")
+        assert dict(main_numbers(info(own, SECOND)))["memory"].endswith("B")
     begun = stand_in(["train"], "print('first'); print('last')")
     begun.process.wait(TIMEOUT_S)
-    jobs.begun()["a training"] = begun
+    jobs.started_commands()["a training"] = begun
     set_status(own / PENDULUM_TOM, pid=begun.process.pid)
     assert start.log_of(info(own, PENDULUM_TOM)) == "first\nlast"
     assert start.log_of(info(own, ROAD_MLE)) == ""
@@ -109,7 +109,7 @@ def test_a_training_of_this_machine_has_a_size_and_one_of_this_studio_a_log(own:
 def test_a_training_that_fails_before_it_has_a_run_says_why() -> None:
     begun = stand_in(["train"], "raise SystemExit('no such thing')")
     begun.process.wait(TIMEOUT_S)
-    jobs.begun()["tom train"] = begun
+    jobs.started_commands()["tom train"] = begun
     assert "no such thing" in [code.value for code in draw("answer").code]
 
 

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from tom.analysis.brush import REGION, REST, SMALL, BrushedFit, brushed, check_factor, fits
+from tom.analysis.brush import (
+    REGION,
+    REST,
+    SMALL,
+    BrushedFit,
+    brushed_weights,
+    check_factor,
+    fit_brushed,
+)
 from tom.config import ModelConfig
 from tom.data.transitions import TensorTransitions
 from tom.errors import UserError
@@ -27,26 +35,32 @@ def bent(count: int = 1200) -> TensorTransitions:
 
 def fitted(config: ModelConfig, factors: Sequence[float], *seeds: int) -> list[BrushedFit]:
     rows = bent()
-    return list(fits(rows, torch.ones(len(rows)), rows.obs[:, 0] > 0, None, config, factors, seeds))
+    return list(
+        fit_brushed(rows, torch.ones(len(rows)), rows.obs[:, 0] > 0, None, config, factors, seeds)
+    )
 
 
 def test_the_region_is_multiplied_and_the_mean_stays_one():
     weights, region = torch.tensor([1.0, 2.0, 0.0, 1.0]), torch.tensor([True, False, True, False])
-    found = brushed(weights, region, 4)
+    found = brushed_weights(weights, region, 4)
     assert float(found.mean()) == pytest.approx(1)
     assert float(found[0] / found[3]) == pytest.approx(4)
     assert float(found[1] / found[3]) == pytest.approx(2)
-    assert torch.equal(brushed(weights, region, 1), weights)
-    assert brushed(weights, region, 0)[[0, 2]].tolist() == [0, 0]
+    assert torch.equal(brushed_weights(weights, region, 1), weights)
+    assert brushed_weights(weights, region, 0)[[0, 2]].tolist() == [0, 0]
 
 
 def test_nothing_left_is_refused():
     weights, region = torch.tensor([1.0, 0.0]), torch.tensor([True, False])
     with pytest.raises(UserError, match="nothing is left"):
-        brushed(weights, region, 0)
+        brushed_weights(weights, region, 0)
     rows = bent(40)
     with pytest.raises(UserError, match="not all"):
-        next(fits(rows, torch.ones(40), torch.ones(40, dtype=torch.bool), None, QUICK, (), (0,)))
+        next(
+            fit_brushed(
+                rows, torch.ones(40), torch.ones(40, dtype=torch.bool), None, QUICK, (), (0,)
+            )
+        )
 
 
 @pytest.mark.parametrize("factor", [-1.0, float("nan"), float("inf")])

@@ -13,10 +13,10 @@ from tom.analysis.settings import (
     Kind,
     choices,
     differences,
+    distinguishing_presets,
     kinds_of,
-    natural,
+    natural_sort_key,
     number,
-    telling_presets,
     variants,
 )
 from tom.learners import LEARNERS, LearnerEntry
@@ -95,7 +95,7 @@ def test_values_that_are_numbers_are_ordered_as_such() -> None:
     assert number(Kind(variant="tom.flow discounted"), "tom.flow") is None
     assert number(Kind("mle", "paper"), "tom.flow") is None
     words = ["lr 0.001", "lr 3e-5", "hidden 128", "hidden 64"]
-    assert sorted(words, key=natural) == ["hidden 64", "hidden 128", "lr 3e-5", "lr 0.001"]
+    assert sorted(words, key=natural_sort_key) == ["hidden 64", "hidden 128", "lr 3e-5", "lr 0.001"]
 
 
 def test_only_differences_are_shown() -> None:
@@ -136,7 +136,7 @@ def test_a_preset_is_told_where_its_learner_has_several() -> None:
         Run("c", {}, learner="mle"),
         Run("d", {}, env="hopper"),
     ]
-    assert telling_presets(runs) == ["paper", "mended", "", ""]
+    assert distinguishing_presets(runs) == ["paper", "mended", "", ""]
 
 
 def test_a_new_learners_settings_set_its_own_runs_apart(

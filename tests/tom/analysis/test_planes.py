@@ -64,7 +64,7 @@ def test_the_share_explained_is_that_of_a_table_grouped_by_cell(
     predicted = rows[~fitted].join(of_cell, on=["x", "y"], rsuffix=" mean")["log mean"].fillna(mean)
     error = ((rows["log"][~fitted] - predicted) ** 2).mean()
     share = 1 - error / ((rows["log"][~fitted] - mean) ** 2).mean()
-    assert planes.explained(xy, weight) == pytest.approx(share, abs=1e-3)
+    assert planes.explained_share(xy, weight) == pytest.approx(share, abs=1e-3)
     assert share > 0.3
 
 
@@ -80,12 +80,12 @@ def test_equal_weights_and_constant_rows_have_a_plane_that_explains_nothing(coun
     assert not plane.axes.any()
     xy = planes.of_rows(plane, rows)
     assert xy.shape == (count, 2)
-    assert planes.explained(xy, np.ones(count)) == 0
+    assert planes.explained_share(xy, np.ones(count)) == 0
 
 
 def test_an_axis_is_named_by_its_largest_loadings():
     axes = np.array([[0.1, -0.8, 0.2, 0.0, -0.7], np.zeros(5)]).T
-    assert planes.described(axes, NAMES) == ("b down, c up", "no dimension varies")
+    assert planes.axis_names(axes, NAMES) == ("b down, c up", "no dimension varies")
 
 
 def test_rows_count_the_whole_record_and_ages_the_rows_themselves():

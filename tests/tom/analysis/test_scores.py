@@ -6,7 +6,7 @@ import pytest
 from tom.analysis.curves import Curve
 from tom.analysis.scores import (
     HEIGHT,
-    begun,
+    all_have_started,
     common_start,
     common_step,
     interval,
@@ -22,8 +22,8 @@ def curve(step: list[int], value: list[float]) -> Curve:
 def test_the_common_step_is_where_the_first_run_ends() -> None:
     short, long = curve([1, 5], [0, 0]), curve([6, 9], [0, 0])
     assert common_step([short, long]) == 5
-    assert begun([short], 5)
-    assert not begun([short, long], 5)
+    assert all_have_started([short], 5)
+    assert not all_have_started([short, long], 5)
 
 
 def test_mean_heights_begin_where_every_run_has_begun() -> None:

@@ -15,7 +15,7 @@ from line_cases import FAR, FLAT, LINE, TWICE, Columns, N, good, ordered, withou
 
 import tom
 from tom.analysis.ordered_data import OrderedData, action_bounds, load_data
-from tom.envs import bring, task
+from tom.envs import import_task, task
 from tom.errors import UserError
 from tom.record import RunReader, Store
 
@@ -24,7 +24,7 @@ from tom.record import RunReader, Store
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for env in (LINE, FAR, FLAT, TWICE):
-        bring(env)
+        import_task(env)
 
 
 def loaded(columns: Columns, env: str = LINE) -> OrderedData:

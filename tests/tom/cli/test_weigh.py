@@ -16,7 +16,7 @@ from gymnasium.envs.classic_control import PendulumEnv
 from gymnasium.wrappers import RescaleAction
 
 from tom.analysis import weighing
-from tom.analysis.ordered_data import action_bounds, load_data, of_run, to_unit_range
+from tom.analysis.ordered_data import action_bounds, load_data, load_run, to_unit_range
 from tom.analysis.weighing import plan_weighing
 from tom.cli import main
 from tom.config import PmacConfig, RunConfig
@@ -32,7 +32,7 @@ from tom.policy.stored import UniformPolicy
 from tom.record import RunReader, Store
 from tom.reports.weighing_files import ROWS
 from tom.reports.weighing_files import of_run as weighings_of
-from tom.studies.progression import in_order
+from tom.studies.progression import undo_shuffle
 from tom.training.presets import resolve
 
 STEPS = 300
@@ -86,7 +86,7 @@ def test_every_file_of_a_weighing(store: Path, tmp_path: Path, capsys):
 
 
 def test_weights_are_judged_by_episodes_that_no_learner_has_seen(store: Path, monkeypatch):
-    data, known = of_run(RunReader(store / "sac")), task("inverted-pendulum")
+    data, known = load_run(RunReader(store / "sac")), task("inverted-pendulum")
     rows, seen = data.transitions, []
     far = torch.arange(len(data))[:, None] < STEPS  # the random half is somewhere else
     moved = replace(
@@ -120,7 +120,7 @@ def test_weights_are_judged_by_episodes_that_no_learner_has_seen(store: Path, mo
 
 
 def test_weights_are_judged_as_a_fit_counts_them(store: Path, monkeypatch):
-    data, known = of_run(RunReader(store / "sac")), task("inverted-pendulum")
+    data, known = load_run(RunReader(store / "sac")), task("inverted-pendulum")
     raw = torch.from_numpy(np.random.default_rng(0).lognormal(0, 3, len(data))).float()
     heavy, made = Weighting(raw / raw.mean(), clipped=True), []
     judge = weighing.footprint_match
@@ -224,12 +224,12 @@ def test_a_d4rl_file_in_the_tasks_own_units(store: Path, tmp_path: Path):
 
 def test_shuffled_rows_come_back_in_order(store: Path):
     """PMAC follows the storage; a row's own weight comes back to its place."""
-    data, known = of_run(RunReader(store / "sac")), task("inverted-pendulum")
+    data, known = load_run(RunReader(store / "sac")), task("inverted-pendulum")
     order = np.random.default_rng(0).permutation(len(data))
     shuffled = replace(data, transitions=data.transitions[torch.from_numpy(order)])
     config = RunConfig(env=known.name, learner="pmac")
     (one,) = weighing.weigh(shuffled, UniformPolicy(4, 1), known, config, ["pmac"], [0], 10)
-    back = in_order(one, order)
+    back = undo_shuffle(one, order)
     np.testing.assert_array_equal(back.weights[order], one.weights)
     assert back.weights[order[-1]] == one.weights.max()  # the last one stored counts most
 

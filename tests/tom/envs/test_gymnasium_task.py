@@ -168,7 +168,7 @@ def test_named_arrays_of_deepmind_control_lie_side_by_side():
 
 @pytest.mark.parametrize("gym_id", ["Swimmer-v5", "Pusher-v5", "Humanoid-v5"])
 def test_a_robot_is_drawn_from_what_its_run_keeps(gym_id: str):
-    model = present(scene.made_model(named(gym_id)))
+    model = present(scene.build_model(named(gym_id)))
     again = scene.of_arrays(scene.arrays(model))
     spread = np.random.default_rng(0).normal(size=(5, model.mj.nq))
     qpos = model.mj.qpos0 + 0.3 * spread

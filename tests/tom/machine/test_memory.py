@@ -5,17 +5,17 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from tom.machine.memory import REFUSING, ran_out
+from tom.machine.memory import MEMORY_ERRORS, is_out_of_memory
 
 
 def error_of(work: Callable[[], object]) -> BaseException:
-    with pytest.raises(REFUSING) as raised:
+    with pytest.raises(MEMORY_ERRORS) as raised:
         work()
     return raised.value
 
 
 def test_a_tensor_that_no_machine_holds_is_a_lack_of_memory():
-    assert ran_out(error_of(lambda: torch.empty(2**39, 13)))
+    assert is_out_of_memory(error_of(lambda: torch.empty(2**39, 13)))
 
 
 @pytest.mark.parametrize(
@@ -26,4 +26,4 @@ def test_a_tensor_that_no_machine_holds_is_a_lack_of_memory():
     ],
 )
 def test_other_errors_are_none(work: Callable[[], object]):
-    assert not ran_out(error_of(work))
+    assert not is_out_of_memory(error_of(work))

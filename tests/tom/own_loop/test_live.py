@@ -11,7 +11,7 @@ import tom
 from tom.data.unpack import read_arrays
 from tom.errors import UserError
 from tom.frames import Weighing
-from tom.own_loop.live import _Live, weigh_live
+from tom.own_loop.live import _LearnerRecord, weigh_live
 from tom.own_loop.run import OwnRun, record
 from tom.record import RunReader, layout
 from tom.record.integrity import verify
@@ -151,13 +151,13 @@ def test_a_loop_is_weighed_with_the_rows_that_were_handed_in_by_a_step(tmp_path:
 
 
 def test_live_weights_of_rows_that_were_cut_out_of_the_record_go(tmp_path: Path):
-    def weigh(live: _Live) -> None:
+    def weigh(live: _LearnerRecord) -> None:
         source = RunReader(tmp_path / "mine")
         policy = read_arrays(source.path / layout.policy(source.policy_steps()[-1]))
         live.weigh(*source.buffer(), policy)
 
     with record("mine", env="Pendulum-v1", store=tmp_path, envs=2) as run:
-        live = _Live(RunReader(run.path), "pmac", 100, run.began_at)
+        live = _LearnerRecord(RunReader(run.path), "pmac", 100, run.began_at)
         with live.recorder:
             for step in (180, 300):
                 hand_in_unevenly(run, step)
@@ -169,6 +169,6 @@ def test_live_weights_of_rows_that_were_cut_out_of_the_record_go(tmp_path: Path)
     resume = {"resume": "auto", "step": 260}
     with record("mine", env="Pendulum-v1", store=tmp_path, envs=2, **resume) as run:
         assert run.step == 260
-        live = _Live(RunReader(run.path), "pmac", 100, run.began_at)
+        live = _LearnerRecord(RunReader(run.path), "pmac", 100, run.began_at)
         with live.recorder:  # of the 250 rows that were weighed some had a number above 260
             assert RunReader(live.recorder.writer.path).snapshot_steps() == [180]

@@ -16,8 +16,8 @@ from tom.analysis.weighing import Weighed
 from tom.envs import user_code
 from tom.studies import study as module
 from tom.studies.progression import Result
-from tom.studies.road import Story
-from tom.studies.study import FOLDER, compute, load, save
+from tom.studies.road import CaseResult
+from tom.studies.study import FOLDER, compute, load_outcome, save_outcome
 from tom.studies.tabular_estimates import Estimate
 
 
@@ -111,7 +111,7 @@ def test_the_packages_and_files_that_the_user_named_are_code(
     for name in ("__init__.py", "envs/__init__.py", "envs/task.py"):
         (tmp_path / "own_package" / name).touch()
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(user_code, "_USERS", {})
+    monkeypatch.setattr(user_code, "_USER_MODULES", {})
     before = module.code_hash()
     user_code.import_named("time", "--env time:Task-v0")  # has no file
     assert module.code_hash() == before
@@ -124,7 +124,7 @@ def test_the_packages_and_files_that_the_user_named_are_code(
 WEIGHTS = np.linspace(0, 2, 5, dtype=np.float32)
 EXACT = np.linspace(0, 2, 5)
 OUTCOMES = (
-    Story({"name": "tom", "seed": 0}, [(0, -1.5)], np.zeros((5, 2), np.float32), WEIGHTS),
+    CaseResult({"name": "tom", "seed": 0}, [(0, -1.5)], np.zeros((5, 2), np.float32), WEIGHTS),
     Estimate({"variant": "exact", "uniform": (0.1, 0.3), "l1": None}, *[EXACT] * 3),
     Result(
         "hopper-s0", "hopper", 2, "own", "exact",
@@ -136,5 +136,5 @@ OUTCOMES = (
 
 @pytest.mark.parametrize("outcome", OUTCOMES, ids=lambda outcome: type(outcome).__name__)
 def test_the_outcomes_of_all_studies_can_be_kept(tmp_path: Path, outcome: object):
-    save(outcome, tmp_path / "case.pt")
-    assert repr(load(tmp_path / "case.pt", type(outcome))) == repr(outcome)
+    save_outcome(outcome, tmp_path / "case.pt")
+    assert repr(load_outcome(tmp_path / "case.pt", type(outcome))) == repr(outcome)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tom.analysis.ordered_data import of_run
+from tom.analysis.ordered_data import load_run
 from tom.cli import main
 from tom.config import SacRecordingConfig, TomConfig
 from tom.data.transitions import Transitions
@@ -15,8 +15,8 @@ from tom.record import RunReader, Store
 from tom.studies.focus import (
     RIVALS,
     Case,
+    _collect_test_rows,
     _config,
-    _tested,
     focus,
     summary,
 )
@@ -55,8 +55,8 @@ def test_a_summary_by_hand():
 
 
 def test_models_are_tested_on_what_no_learner_has_seen(recording: RunReader):
-    data, policy = of_run(recording), read_policy(recording.path / NAME)
-    tested = _tested(data, policy, task("hopper"), 0)
+    data, policy = load_run(recording), read_policy(recording.path / NAME)
+    tested = _collect_test_rows(data, policy, task("hopper"), 0)
     seen = {tuple(row) for row in data.transitions.obs.tolist()}
     assert not seen & {tuple(row) for row in tested["policy"].obs.tolist()}
     halves = data.transitions[: data.ordered_from], data.transitions[data.ordered_from :]

@@ -18,7 +18,7 @@ from tom.studies.frozen import (
     Case,
     buffer_at,
     cases,
-    examined,
+    examine,
     moments,
 )
 from tom.studies.moments import sign_test
@@ -49,10 +49,10 @@ def test_moments_are_fits_on_policy_whose_policy_was_kept(run: RunReader):
 
 def test_what_a_way_makes_of_a_moment(run: RunReader):
     at = moments(run, 1)[0]
-    uniform = examined(Case(run.path, at, "uniform", models=("linear",), rows=300))
+    uniform = examine(Case(run.path, at, "uniform", models=("linear",), rows=300))
     assert uniform["footprint"] == pytest.approx(1.0)
     assert uniform["ess"] == pytest.approx(1.0)
-    newest = examined(Case(run.path, at, "newest", models=("linear",), rows=300))
+    newest = examine(Case(run.path, at, "newest", models=("linear",), rows=300))
     assert newest["ess"] == pytest.approx(1000 / at)
     assert newest["footprint"] != pytest.approx(1.0)
     assert newest["footprint_uniform"] == uniform["footprint_uniform"]
@@ -85,7 +85,7 @@ def test_a_run_without_its_policies_is_left_out_of_the_ways_that_need_them(
 )
 def test_ways_that_train_no_network_weigh_a_moment(run: RunReader, way: str):
     at = moments(run, 1)[0]
-    found = examined(Case(run.path, at, way, rows=300))
+    found = examine(Case(run.path, at, way, rows=300))
     assert 0 < found["ess"] < 1
     assert found["footprint"] != 1
 
@@ -102,15 +102,15 @@ def test_ways_share_random_numbers_and_moments_do_not():
 def test_the_outcome_of_a_way_does_not_depend_on_what_was_examined_before(run: RunReader):
     at, then = moments(run, 2)
     case = Case(run.path, at, "recency", models=("linear",), rows=300)
-    first = examined(case)
-    again = examined(replace(case, way="newest")), examined(case)  # as the moment's second way
+    first = examine(case)
+    again = examine(replace(case, way="newest")), examine(case)  # as the moment's second way
     assert again[0]["footprint"] != first["footprint"]
     assert again[1] == first
-    other = examined(replace(case, step=then))
+    other = examine(replace(case, step=then))
     assert (other["step"], other["ends_policy"]) != (first["step"], first["ends_policy"])
     assert other["footprint_uniform"] != first["footprint_uniform"]
-    assert examined(replace(case, rows=400))["footprint_uniform"] != first["footprint_uniform"]
-    assert examined(case) == first
+    assert examine(replace(case, rows=400))["footprint_uniform"] != first["footprint_uniform"]
+    assert examine(case) == first
 
 
 def test_a_footprints_summary_by_hand():
@@ -278,7 +278,7 @@ def test_a_recording_of_sac_stands_for_a_replay_buffer(tmp_path: Path):
     recording = train(config, Store(tmp_path), "recorded", rerun=False)
     assert recording.policy_steps() == [1800, 2100, 2400, 2700, 3000]
     assert moments(recording, 10) == [2700, 3000]  # a policy buffer of on-policy rows before each
-    newest = examined(Case(recording.path, 2700, "newest", rows=300))
+    newest = examine(Case(recording.path, 2700, "newest", rows=300))
     assert newest["ess"] == pytest.approx(1000 / 2700)
 
 

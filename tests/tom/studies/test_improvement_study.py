@@ -16,7 +16,7 @@ from tom.policy.stored import StoredPolicy, policy_arrays, resumed_sac
 from tom.record import RunReader, layout
 from tom.studies import improvement as study
 from tom.studies.frozen import WAYS, Case, Way, moments
-from tom.studies.improvement import improved, summary, verdict
+from tom.studies.improvement import improve, summary, verdict
 from tom.studies.study import Row
 
 
@@ -48,12 +48,12 @@ def trial(run: RunReader, way: str) -> Case:
 
 
 def test_weights_act_in_the_model_in_the_starts_or_in_both(run: RunReader):
-    plain, newest = improved(trial(run, "uniform")), improved(trial(run, "newest"))
+    plain, newest = improve(trial(run, "uniform")), improve(trial(run, "newest"))
     assert plain["model"] == plain["starts"] == plain["both"]
     assert plain["both"] != plain["before"]
     assert newest["before"] == plain["before"]  # the same policy and start states
     assert len({newest["model"], newest["starts"], newest["both"], plain["both"]}) == 4
-    assert improved(trial(run, "newest")) == newest
+    assert improve(trial(run, "newest")) == newest
 
 
 @pytest.mark.parametrize(
@@ -61,8 +61,8 @@ def test_weights_act_in_the_model_in_the_starts_or_in_both(run: RunReader):
     ["pdml", *(pytest.param(way, marks=pytest.mark.slow) for way in ("action-ratio", "pmer"))],
 )
 def test_ways_that_train_no_network_act_in_both_places_alone_and_half(run: RunReader, way: str):
-    plain = improved(trial(run, "uniform"))
-    alone, half = improved(trial(run, way)), improved(trial(run, f"half-{way}"))
+    plain = improve(trial(run, "uniform"))
+    alone, half = improve(trial(run, way)), improve(trial(run, f"half-{way}"))
     for place in ("model", "starts"):
         assert np.isfinite([alone[place], half[place]]).all()
         assert len({plain["both"], alone[place], half[place]}) == 3, place
@@ -72,7 +72,7 @@ def test_ways_that_train_no_network_act_in_both_places_alone_and_half(run: RunRe
 def test_weights_of_one_change_nothing_anywhere(run: RunReader, monkeypatch: pytest.MonkeyPatch):
     one = {"uniform_share": 1.0}
     monkeypatch.setitem(WAYS, "even", Way("ratio", {"model": one, "rollout": one}))
-    plain, even = improved(trial(run, "uniform")), improved(trial(run, "even"))
+    plain, even = improve(trial(run, "uniform")), improve(trial(run, "even"))
     assert even == dict(plain, way="even")
 
 

@@ -11,12 +11,12 @@ from tom.studies.road import (
     MLE_RETURN_MAX,
     OTHERS,
     Case,
-    Story,
+    CaseResult,
     acceptance,
     cases,
     controls,
     normalised,
-    tell,
+    run_case,
     weight_figure,
     weight_rows,
 )
@@ -54,7 +54,7 @@ MLE = dict(
 
 
 def outcome(case: Case) -> Row:
-    return tell(case).outcome
+    return run_case(case).outcome
 
 
 def failed(tom: list[Row], mle: list[Row]) -> list[str]:
@@ -142,7 +142,9 @@ def test_controls_on_seeds_that_nothing_was_tuned_on():
 def test_the_weights_over_the_map():
     rng = np.random.default_rng(0)
     of = {
-        name: Story({"seed": 0}, [], rng.random((500, 2), np.float32), rng.random(500, np.float32))
+        name: CaseResult(
+            {"seed": 0}, [], rng.random((500, 2), np.float32), rng.random(500, np.float32)
+        )
         for name in ("MLE", "TOM")
     }
     weights = pd.DataFrame(weight_rows(of))

@@ -24,7 +24,7 @@ from tom.policy.stored import StoredPolicy
 from tom.record import RunReader, Store
 from tom.record.writer import RunWriter
 from tom.training.presets import learners, resolve
-from tom.training.resume import resume, unfinished
+from tom.training.resume import find_unfinished, resume
 from tom.training.run import AnyConfig, Training, make_training, train
 
 STEPS, STOP = 430, 347  # stops within an episode and between two fits
@@ -194,12 +194,12 @@ def test_a_run_that_ended_between_its_last_checkpoint_and_its_end_goes_on_to_it(
         with pytest.raises(OSError, match="No space"):
             train(short(), store, "a", rerun=False)
     assert "tom train --resume a" in store.run("a").status.reason
-    assert unfinished(store, short()) == "a"
+    assert find_unfinished(store, short()) == "a"
     done = resume(store, "a", rerun=False)
     assert done.status.state == "finished"
     assert done.has_policy()
     assert_same_record(undisturbed, done)
-    assert unfinished(store, short()) is None
+    assert find_unfinished(store, short()) is None
     with pytest.raises(UserError, match="is complete at step 200"):
         resume(store, "a", rerun=False)
 

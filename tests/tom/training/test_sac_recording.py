@@ -14,8 +14,8 @@ from tom.events import Evaluation, TrainedPolicy
 from tom.policy.stored import UniformPolicy, policy_arrays, read_policy
 from tom.record import RunReader, Store
 from tom.record.thin import half
-from tom.studies.study import recorded
-from tom.training.resume import resume, unfinished
+from tom.studies.study import find_recording
+from tom.training.resume import find_unfinished, resume
 from tom.training.run import train
 from tom.training.sac_recording import SacRecording
 
@@ -69,11 +69,11 @@ def test_the_state_of_a_row_gives_its_obs(recording: RunReader):
 
 def test_a_recording_is_found_again_by_its_settings(recording: RunReader):
     store = Store(recording.path.parent)
-    found = present(recorded(store, config(threads=2)))
+    found = present(find_recording(store, config(threads=2)))
     assert found.run_id == recording.run_id
     for other in ({"seed": 1}, {"steps": 1000}, {"sac": {"hidden": 32}}):
         changed = config().but(**other)
-        assert recorded(store, changed) is None
+        assert find_recording(store, changed) is None
 
 
 def test_same_seed_same_bits_and_evaluations_leave_no_trace():
@@ -149,8 +149,8 @@ def test_a_recording_that_was_stopped_goes_on_to_the_same_files(recording: RunRe
     store, (stop, watchers) = Store(tmp_path), stopping_at(1500)
     stopped = train(config(), store, "a", rerun=False, watchers=watchers, stop=stop)
     assert (stopped.status.state, stopped.status.env_step) == ("stopped", 1500)
-    assert unfinished(store, config()) == "a"
-    assert unfinished(store, config(steps=1200)) is None
+    assert find_unfinished(store, config()) == "a"
+    assert find_unfinished(store, config(steps=1200)) is None
     with pytest.raises(UserError, match="its halves depend on them"):
         resume(store, "a", steps=1200, rerun=False)
     done = resume(store, "a", rerun=False)

@@ -4,11 +4,11 @@ from collections import Counter
 from collections.abc import Sequence
 
 from app.theme import learner_label
-from tom.analysis.settings import telling_presets, variants
+from tom.analysis.settings import distinguishing_presets, variants
 from tom.record.reader import RunReader
 
 
-def told_apart(runs: Sequence[RunReader], *, by_user: bool = False) -> dict[str, str]:
+def distinct_names(runs: Sequence[RunReader], *, by_user: bool = False) -> dict[str, str]:
     """`TOM s0` for each run id, plus a distinction from runs of the same name.
 
     With runs of several tasks, their task comes first: `Hopper TOM s0`. With `by_user` the user's
@@ -18,39 +18,39 @@ def told_apart(runs: Sequence[RunReader], *, by_user: bool = False) -> dict[str,
     differs from the others and from its preset, then the id.
     """
     several = len({run.env for run in runs}) > 1
-    return _apart(runs, "{env} {learner} s{seed}" if several else "{learner} s{seed}", by_user)
+    return _distinct(runs, "{env} {learner} s{seed}" if several else "{learner} s{seed}", by_user)
 
 
-def names(runs: Sequence[RunReader]) -> dict[str, str]:
+def full_names(runs: Sequence[RunReader]) -> dict[str, str]:
     """`Hopper · TOM · seed 0`, or the user's name of the run, for each run id.
 
-    Runs of the same name are distinguished as in `told_apart`.
+    Runs of the same name are distinguished as in `distinct_names`.
     """
-    return _apart(runs, "{env} · {learner} · seed {seed}", by_user=True)
+    return _distinct(runs, "{env} · {learner} · seed {seed}", by_user=True)
 
 
-def task(env: str) -> str:
+def task_title(env: str) -> str:
     """A task's name for a heading: `inverted-pendulum` becomes Inverted pendulum."""
     if ":" in env:
         return env
     return "HalfCheetah" if env == "halfcheetah" else env.replace("-", " ").capitalize()
 
 
-def _apart(runs: Sequence[RunReader], form: str, by_user: bool) -> dict[str, str]:
+def _distinct(runs: Sequence[RunReader], form: str, by_user: bool) -> dict[str, str]:
     """Each run's name by its id; where several share one, with their settings, else their ids."""
-    called = []
-    for run, preset in zip(runs, telling_presets(runs), strict=True):
+    names = []
+    for run, preset in zip(runs, distinguishing_presets(runs), strict=True):
         learner = f"{learner_label(run.learner)} {preset}".strip()
-        usual = form.format(env=task(run.env), learner=learner, seed=run.seed)
-        called.append((by_user and run.labels.name) or usual)
-    shared = Counter(called)
-    variant = variants([run for run, name in zip(runs, called, strict=True) if shared[name] > 1])
+        usual = form.format(env=task_title(run.env), learner=learner, seed=run.seed)
+        names.append((by_user and run.labels.name) or usual)
+    shared = Counter(names)
+    variant = variants([run for run, name in zip(runs, names, strict=True) if shared[name] > 1])
     longer = [
         ", ".join(filter(None, (name, variant.get(run.run_id))))
-        for run, name in zip(runs, called, strict=True)
+        for run, name in zip(runs, names, strict=True)
     ]
-    still = Counter(longer)
+    repeated = Counter(longer)
     return {
-        run.run_id: name if still[name] == 1 else f"{name}, {run.run_id}"
+        run.run_id: name if repeated[name] == 1 else f"{name}, {run.run_id}"
         for run, name in zip(runs, longer, strict=True)
     }

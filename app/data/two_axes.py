@@ -7,42 +7,44 @@ from collections.abc import Collection, Sequence
 from contextlib import suppress
 from math import exp, log
 
-from app.data import called
+from app.data import run_names
 from app.data.studies import Study
 from app.data.verdicts import LABELS, Panel, Verdict, tables_of, word_of
 from tom.analysis.statistics import COVERAGE, Interval
 from tom.studies.frozen import ERROR, MODELS, UNIFORM, WAYS
-from tom.studies.moments import Value, over_recordings, ratios, telling, trial_of
+from tom.studies.moments import Value, informative_outcomes, over_recordings, ratios, trial_of
 from tom.studies.study import Row
 
-EVERY_WAY = "Does weighing nearer to the policy make the paper's model better there?"
-PAPERS = list(MODELS)[-1]
+QUESTION = "Does weighing nearer to the policy make the paper's model better there?"
+PAPER_MODEL = list(MODELS)[-1]
 """the paper's model"""
 Outcome = tuple[Row, float]
 """a row of a moment, with the number that counts"""
 
 
-def every_ways(listed: Sequence[Study]) -> dict[str, Verdict]:
-    """`EVERY_WAY` by the name of a capacity study, with the footprint study that ends alike.
+def verdicts(listed: Sequence[Study]) -> dict[str, Verdict]:
+    """Answers to `QUESTION` by capacity study, each with the footprint study of the same ending.
 
     What counts are the moments of both; without any there is no answer.
     """
-    alike: dict[str, dict[str, Study]] = {}
+    by_ending: dict[str, dict[str, Study]] = {}
     for study in listed:
-        alike.setdefault(study.name.removeprefix(study.verb), {}).setdefault(study.verb, study)
+        by_ending.setdefault(study.name.removeprefix(study.verb), {}).setdefault(study.verb, study)
     found = {}
-    for of in alike.values():
+    for by_verb in by_ending.values():
         with suppress(KeyError, ValueError):  # one is not computed, or tables of another version
-            near, errs = (tables_of(of[name])["moments"] for name in ("footprint", "capacity"))
+            near, errs = (tables_of(by_verb[name])["moments"] for name in ("footprint", "capacity"))
             shared = {*map(trial_of, near)} & {*map(trial_of, errs)}
             near, errs = ([row for row in rows if trial_of(row) in shared] for rows in (near, errs))
-            distances = [(row, row["footprint"]) for row in telling(near)]
-            errors = [(row, log(r)) for row, model, r in ratios(errs, ERROR) if model == PAPERS]
+            distances = [(row, row["footprint"]) for row in informative_outcomes(near)]
+            errors = [
+                (row, log(r)) for row, model, r in ratios(errs, ERROR) if model == PAPER_MODEL
+            ]
             every = (_panel(env, distances, errors) for env in {row["env"]: 0 for row in errs})
             panels = [panel for panel in every if len(panel.ways) > 1]
             one_sided = {row["way"] for row in near} ^ {row["way"] for row in errs}
             if panels:
-                name, caption = of["capacity"].name, _caption(panels, one_sided)
+                name, caption = by_verb["capacity"].name, _caption(panels, one_sided)
                 found[name] = Verdict(*_answer(panels), panels=panels, caption=caption)
     return found
 
@@ -77,22 +79,22 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
 
     A task says yes if a way has both intervals below uniform weights, no if each errs more.
     """
-    sides, told = [], []
+    sides, per_task = [], []
     for panel in panels:
         ways = panel.ways[1:]
         both = [LABELS.get(way, way) for way, near, e in ways if near.high < 1 and e.high < 1]
         all_worse = all(error.low > 1 for *_, error in ways)
         sides.append(bool(both) - all_worse)
-        told.append(
-            f"{called.task(panel.env)}: {', '.join(both) or 'none' + '; all err more' * all_worse}."
+        per_task.append(
+            f"{run_names.task_title(panel.env)}: {', '.join(both) or 'none' + '; all err more' * all_worse}."
         )
     sentence = (
         "By their intervals, these are nearer to the policy than uniform weights and also err "
-        "less. " + " ".join(told)
+        "less. " + " ".join(per_task)
     )
     fewest = sorted({panel.recordings for panel in panels} & {*COVERAGE})[:1]
     few = "".join(f" (with {n}, about {COVERAGE[n]} of 100 hold the true mean)" for n in fewest)
-    alone = [called.task(panel.env) for panel in panels if panel.recordings == 1]
+    alone = [run_names.task_title(panel.env) for panel in panels if panel.recordings == 1]
     none = f" {' and '.join(alone)}, with one recording, has none." if alone else ""
     against = (
         f"Intervals over so few recordings are too narrow{few}, and "
@@ -104,8 +106,8 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
 def _caption(panels: Sequence[Panel], one_sided: Collection[str]) -> str:
     """`one_sided` are the ways that only one of the two studies has."""
     n = ", ".join(
-        f"{called.task(p.env)} {p.moments} moment{'s' * (p.moments > 1)} of {p.recordings} "
-        f"recording{'s' * (p.recordings > 1)}"
+        f"{run_names.task_title(p.env)} {p.moments} moment{'s' * (p.moments > 1)} of "
+        f"{p.recordings} recording{'s' * (p.recordings > 1)}"
         for p in panels
     )
     named = [label for way, label in LABELS.items() if way in one_sided]
@@ -114,6 +116,6 @@ def _caption(panels: Sequence[Panel], one_sided: Collection[str]) -> str:
     left_out = f" Left out, for lack of one number: {', '.join(named)}." if named else ""
     return (
         "Uniform weights are at 1 on both axes. Further left is nearer to the policy, further down "
-        f"is a smaller error. Model: {PAPERS} (units x layers), one step ahead. Bars: 95 % "
+        f"is a smaller error. Model: {PAPER_MODEL} (units x layers), one step ahead. Bars: 95 % "
         f"bootstrap intervals over recordings. n: {n}.{left_out}"
     )
