@@ -96,7 +96,7 @@ def weighing_sources(run: RunReader) -> dict[str, Source]:
         )
         for weighing in (*made[:WEIGHINGS], *brushes[:WEIGHINGS])
         for (learner, seed), weight in weighing.weights().items()
-        if not (weighing.brush and learner == called(UNCHANGED))
+        if not (weighing.is_brush and learner == called(UNCHANGED))
         and len(weight) <= weighing.end <= length
         for label in [f"{learner_label(learner)} s{seed}, {weighing.name}"]
     }

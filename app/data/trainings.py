@@ -60,7 +60,7 @@ def stop(store: Store, run_id: str) -> None:
         raise UserError(f"run '{run_id}' is not in training: nothing to stop")
     here = False
     with suppress(OSError):  # no such process, or another user's
-        if here := lock.opened_by(run.status.pid, run.path):
+        if here := lock.is_open_by(run.status.pid, run.path):
             os.kill(run.status.pid, signal.SIGTERM)
     if not here:
         raise UserError(
@@ -71,7 +71,7 @@ def stop(store: Store, run_id: str) -> None:
 def memory(pid: int, run: Path) -> int | None:
     """The resident bytes of the process that writes a run; None if it is not on this machine."""
     try:
-        if not lock.opened_by(pid, run):
+        if not lock.is_open_by(pid, run):
             return None
         pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     except (OSError, ValueError, IndexError):
@@ -81,4 +81,4 @@ def memory(pid: int, run: Path) -> int | None:
 
 def has_ended(run: Path) -> bool:
     """Whether the process that wrote the run folder has ended; False if on another machine."""
-    return bool(lock.written_here(run)) and not lock.held(run)
+    return bool(lock.was_written_here(run)) and not lock.is_held(run)

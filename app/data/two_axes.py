@@ -86,7 +86,8 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
         all_worse = all(error.low > 1 for *_, error in ways)
         sides.append(bool(both) - all_worse)
         per_task.append(
-            f"{run_names.task_title(panel.env)}: {', '.join(both) or 'none' + '; all err more' * all_worse}."
+            f"{run_names.task_title(panel.env)}: "
+            f"{', '.join(both) or 'none' + '; all err more' * all_worse}."
         )
     sentence = (
         "By their intervals, these are nearer to the policy than uniform weights and also err "

@@ -130,7 +130,7 @@ class Weighing:
         return modified(self.path / REPORT)
 
     @property
-    def brush(self) -> bool:
+    def is_brush(self) -> bool:
         """Whether it is `tom brush`'s: no learner's own weights."""
         return weighing_files.is_brush(self.report)
 

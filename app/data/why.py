@@ -58,7 +58,7 @@ def why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
 
 def _why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
     weighing, learner = source.weighing, source.learner
-    if weighing is not None and weighing.brush:
+    if weighing is not None and weighing.is_brush:
         return "no learner made these weights: a brush changed them"
     if learner not in WITH_TERMS:
         whose = " and ".join(f"{LEARNERS[name].label}'s" for name in WITH_TERMS)
@@ -159,8 +159,8 @@ def starts(run: RunReader, rows: Rows, row: int) -> tuple[float, float] | None:
         "dim_0" in part.snapshot(step) for step in reversed(part.snapshot_steps())
     )
     weight = np.ones_like(rows.weight) if weighs_dimensions else rows.weight
-    begun = why.expected_starts(torch.from_numpy(weight), row, settings)
-    return begun, settings.starts / len(rows)
+    expected = why.expected_starts(torch.from_numpy(weight), row, settings)
+    return expected, settings.starts / len(rows)
 
 
 @dataclass(frozen=True)

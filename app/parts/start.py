@@ -256,10 +256,10 @@ def main_numbers(run: RunReader) -> dict[str, str]:
 
 def log_of(run: RunReader) -> str:
     """The last lines of a training's output, if it was started here; else empty."""
-    begun = [
+    commands = [
         one for one in list(jobs.started_commands().values()) if one.process.pid == run.status.pid
     ]
-    return begun[-1].tail() if begun else ""
+    return commands[-1].tail() if commands else ""
 
 
 def _stop(run: RunReader) -> None:

@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     work = data.transitions, torch.tensor(weights), torch.from_numpy(region), fresh
     name, seeds = f"{reader.run_id}-brushed", list(dict.fromkeys(args.seeds))
     weighing_files.check_free(args.out or store.new_weighing(name))
-    begun, models = perf_counter(), list[BrushedFit]()
+    started, models = perf_counter(), list[BrushedFit]()
     total = len(dict.fromkeys((brush.UNCHANGED, *args.factors))) * len(seeds)
     for one in brush.fit_brushed(*work, config, args.factors, seeds):
         models.append(one)
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
             "fresh": 0 if fresh is None else len(fresh),
             "model": config.model_dump(include={"kind", "hidden", "layers", "rounds"}),
         },
-        "made": {**made_by(command()), "hours": (perf_counter() - begun) / 3600},
+        "made": {**made_by(command()), "hours": (perf_counter() - started) / 3600},
     }
     ghosts = _ghosts(reader, models, args.step)
     out = args.out or store.new_weighing(name)

@@ -90,7 +90,7 @@ def _run(study: ModuleType, args: Namespace) -> int:
     make_folder(args.out)
     judged = [row for row in found.checks if row["met"] is not None]
     failed = [str(row["name"]) for row in judged if not row["met"]]
-    verdict = list(found.said)
+    verdict = list(found.sentences)
     if judged:
         met = len(judged) - len(failed)
         verdict.append(f"{met} of {len(judged)} figures of our acceptance are met.")

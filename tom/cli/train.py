@@ -86,8 +86,8 @@ def start_training(config: AnyConfig, args: argparse.Namespace) -> int:
         return record(config, args)
     store = Store(args.store)
     if args.run_id is None:
-        begun = find_unfinished(store, config)
-        return resume_run(args, begun, config.steps) if begun else record(config, args)
+        unfinished = find_unfinished(store, config)
+        return resume_run(args, unfinished, config.steps) if unfinished else record(config, args)
     run = RunReader(store.resolve(args.run_id))
     there, beyond = run.path.is_dir(), steps_beyond(config, run)
     if there and beyond is None:

@@ -102,12 +102,12 @@ def run(args: argparse.Namespace) -> int:
     weighing_files.check_free(args.out or store.new_weighing(name))
     torch.set_num_threads(plan.config.threads)
     choose_matmul(plan.config.matmul)
-    begun, weighed = perf_counter(), list[Weighed]()
+    started, weighed = perf_counter(), list[Weighed]()
     with ProgressReport(f"the policy in {plan.known.name}", plan.steps, sys.stderr) as bar:
         for one in plan.carry_out(bar.step):
             weighed.append(one)
             bar.print(f"{plan.data.name}: {one.learner} seed {one.seed}")
-    hours = (perf_counter() - begun) / 3600
+    hours = (perf_counter() - started) / 3600
     report = weighing_files.report(plan, weighed, args.policy, args.step, command(), hours)
     out = args.out or store.new_weighing(name)
     weighing_files.write(out, plan.data, weighed, args.bins, report)

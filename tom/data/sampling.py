@@ -16,7 +16,7 @@ def normalise(weights: Tensor) -> tuple[Tensor, bool]:
     Degenerate weights (all zero, or any negative or non-finite one) become uniform.
     """
     total = weights.sum(dtype=torch.float64)
-    if not _usable(weights, total):
+    if not _are_usable(weights, total):
         return torch.ones_like(weights), True
     return (weights.to(torch.float64) * (len(weights) / total)).to(weights.dtype), False
 
@@ -29,7 +29,7 @@ class WeightedSampler:
     """
 
     def __init__(self, weights: Tensor, generator: torch.Generator) -> None:
-        if not _usable(weights, weights.sum(dtype=torch.float64)):
+        if not _are_usable(weights, weights.sum(dtype=torch.float64)):
             raise ValueError("weights must be finite, non-negative and not all zero: normalise")
         # Rows of weight zero are left out, so that rounding can never draw one.
         self._rows = torch.nonzero(weights).squeeze(1)
@@ -121,5 +121,5 @@ def bin_means(weights: Tensor | np.ndarray, bins: int) -> Tensor:
     return up_to.diff() * bins / n
 
 
-def _usable(weights: Tensor, total: Tensor) -> bool:
+def _are_usable(weights: Tensor, total: Tensor) -> bool:
     return bool(torch.isfinite(total) and total > 0 and (weights >= 0).all())

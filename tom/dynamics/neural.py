@@ -140,7 +140,7 @@ class NeuralDynamics:
             loss = torch.zeros((), device=self.device)
             for batch in minibatches(self.plain_first_round and rounds == 0):
                 loss += self.step(*batch).sum()
-            idle = 0 if best.offer(holdout_loss(self, *judged)) else idle + 1
+            idle = 0 if best.update(holdout_loss(self, *judged)) else idle + 1
             rounds += 1
         best.restore()
         self.elites = best.losses.argsort()[: len(self.elites)]
@@ -293,7 +293,7 @@ class _Best:
         self.losses = self._kept[0].new_full((model.ensemble,), float("inf"))
         self._last_gain = self.losses.clone()
 
-    def offer(self, losses: Tensor) -> bool:
+    def update(self, losses: Tensor) -> bool:
         """Keep every network that improved; True if one gained more than `min_gain`.
 
         Many small gains add up to one: it is counted from the loss of the last gain.

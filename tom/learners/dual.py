@@ -117,7 +117,7 @@ class Validation:
         self.best = net  # the last one if every loss was NaN
         self._least, self._kept_at, self._idle = float("inf"), 0, 0
 
-    def ends(self, step: int) -> bool:
+    def is_over(self, step: int) -> bool:
         """Evaluate the network if it is due after this step; whether its training is over."""
         config = self._config
         if step % config.q_check_every == 0 or step == config.q_steps:
@@ -171,7 +171,7 @@ class DualProblem:
         for step, batch in enumerate(problem.batches(source), 1):
             losses.append(q.step(bias_step, batch))
             average.update()
-            if judge and judge.ends(step):
+            if judge and judge.is_over(step):
                 break
         loss = {"dual/loss": float(torch.stack(losses[-max(len(losses) // 10, 1) :]).mean())}
         return (judge.best, judge.metrics | loss) if judge else (average.net, loss)

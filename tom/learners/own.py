@@ -40,7 +40,7 @@ class OwnLearner:
                 )
             answer = self._checked_types(given, context.replay.obs)
         self.state_dict()  # it may have another form after the first fit
-        if not _usable(answer):
+        if not _is_usable(answer):
             plain = uniform(context.replay, ready=False)
             answer = replace(plain, metrics=answer.metrics, notices=(*answer.notices, DEGENERATE))
         return self._scaled_to_mean_one(answer)
@@ -112,7 +112,7 @@ class OwnLearner:
         )
 
 
-def _usable(answer: Weighting) -> bool:
+def _is_usable(answer: Weighting) -> bool:
     """Whether all weights are finite and at least zero, and some are above."""
     parts = [part for part in (answer.weights, answer.per_dim) if part is not None]
     return all(

@@ -22,7 +22,7 @@ def refusal(header: Header, host: str, *, proxied: bool = False) -> str | None:
     any name to which a browser speaks in secret. Programs other than browsers can set any header.
     """
     asked, origin = header("Host") or "", header("Origin")
-    if not (_own_name(asked, host) or (proxied and _is_secure(header))):
+    if not (_is_own_name(asked, host) or (proxied and _is_secure(header))):
         return "this address is served under its own name only, or by a proxy with https"
     if origin is None:  # foreign, if a page of another origin loads this as an image, a script, ...
         elsewhere = header("Sec-Fetch-Site") in ("same-site", "cross-site")
@@ -34,7 +34,7 @@ def refusal(header: Header, host: str, *, proxied: bool = False) -> str | None:
     return "this address answers its own pages only" if foreign else None
 
 
-def _own_name(asked: str, host: str) -> bool:
+def _is_own_name(asked: str, host: str) -> bool:
     """Whether a Host header is a name of the server bound to `host`; its port may be a tunnel's.
 
     Otherwise a page under another name of this address could read the server's content.

@@ -174,7 +174,7 @@ def follow(source: RunReader, learners: Sequence[str], every: int, began_at: int
         while True:
             source = RunReader(source.path)
             now = source.status  # of another process: the loop was started again
-            running = now.state == "running" and now.pid == writer and lock.held(source.path)
+            running = now.state == "running" and now.pid == writer and lock.is_held(source.path)
             rows, steps = source.buffer_length(), source.policy_steps()
             due = rows - last >= every if running else rows > last
             if due and steps:

@@ -139,7 +139,7 @@ class Evaluator:
     def run(self, policy_mean: PolicyMean, seed: int) -> list[Episode]:
         """One episode in each environment, to its end or time limit."""
         seeds = np.random.SeedSequence(seed).generate_state(len(self._envs)).tolist()
-        running = tapes = [_Tape(*begun) for begun in zip(self._envs, seeds, strict=True)]
+        running = tapes = [_Tape(*args) for args in zip(self._envs, seeds, strict=True)]
         while running:
             obs = torch.from_numpy(np.stack([tape.obs for tape in running]))
             with torch.no_grad():

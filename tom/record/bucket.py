@@ -174,7 +174,7 @@ def fetch_run(bucket: Bucket, run_id: str, store: Store) -> str:
     try:
         if fetch(bucket, run_id, unfinished) is None:
             raise UserError(f"no run '{run_id}' in {bucket.url}")
-        with lock.alone_in(store.path):
+        with lock.exclusive_lock(store.path):
             if place.exists():
                 return _replace(store, RunReader(place), RunReader(unfinished))
             unfinished.rename(place)
@@ -189,7 +189,7 @@ def _replace(store: Store, held: RunReader, fetched: RunReader) -> str:
     An older copy of it is deleted. Another run of that name goes to the trash, and so does a run
     of which nobody can tell how far it got.
     """
-    if lock.held(held.path):
+    if lock.is_held(held.path):
         return BUSY
     if held.status == fetched.status:
         return SAME
@@ -261,8 +261,8 @@ class Attempt:
             self.bucket.write(f"{prefix}/{name}", content)
             self._put[name] = files[name]
         self.bucket.write(f"{prefix}/{layout.STATUS}", status)
-        gone = [name for name in self._put if name not in files]
-        self.bucket.remove(f"{prefix}/{name}" for name in gone)
+        removed = [name for name in self._put if name not in files]
+        self.bucket.remove(f"{prefix}/{name}" for name in removed)
         self._put = {name: stamp for name, stamp in self._put.items() if name in files}
 
 

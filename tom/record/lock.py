@@ -20,7 +20,7 @@ from tom.record.reader import RunReader
 from tom.record.status import BEAT_S
 
 TRIES, WAIT_S = 20, 0.01
-"""attempts to lock a run, and seconds between them: `held` has the lock for an instant"""
+"""attempts to lock a run, and seconds between them: `is_held` has the lock for an instant"""
 
 
 class BusyError(TryLaterError):
@@ -65,7 +65,7 @@ def acquire(path: Path) -> RunLock:
     folder cannot be written.
     """
     before = RunReader(path).status  # running, alive or not: its machine's clock may be another
-    if before.state == "running" and written_here(path) is False:
+    if before.state == "running" and was_written_here(path) is False:
         time.sleep(2.5 * BEAT_S)
         if RunReader(path).status.heartbeat != before.heartbeat:
             raise BusyError(f"run '{path.name}' is being written on another machine: stop it there")
@@ -93,7 +93,7 @@ def acquire(path: Path) -> RunLock:
     return RunLock(path, os.pread(file, 4096, 0), file)
 
 
-def held(path: Path) -> bool:
+def is_held(path: Path) -> bool:
     """Whether a process on this machine holds the lock of the run folder `path`."""
     try:
         file = os.open(path / layout.LOCK, os.O_RDONLY)
@@ -108,7 +108,7 @@ def held(path: Path) -> bool:
     return False
 
 
-def opened_by(pid: int, path: Path) -> bool:
+def is_open_by(pid: int, path: Path) -> bool:
     """Whether process `pid` of this machine writes the run folder `path` (has its lock file open).
 
     Raises OSError if there is no such process, or it belongs to another user.
@@ -122,7 +122,7 @@ def opened_by(pid: int, path: Path) -> bool:
 
 
 @contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
+def exclusive_lock(folder: Path) -> Iterator[None]:
     """A lock on `folder` among the processes of this machine, held inside the block.
 
     It is independent of the writers' lock. Raises OSError if there is no such folder.
@@ -135,7 +135,7 @@ def alone_in(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def written_here(path: Path) -> bool | None:
+def was_written_here(path: Path) -> bool | None:
     """Whether the last writer was this machine since its boot; None if unknown."""
     try:
         return (path / layout.LOCK).read_bytes().startswith(_boot())

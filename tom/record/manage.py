@@ -42,7 +42,7 @@ def label(
     """
     path = store.run(run_id).path
     file = path / layout.LABELS
-    with lock.alone_in(path):
+    with lock.exclusive_lock(path):
         try:
             before = labels_of(read_json(file)) if file.exists() else Labels()
         except ValueError as error:

@@ -126,7 +126,7 @@ class Recorder:
         If it does not fit the disk, the last one stays and a notice says so. Raises LostError if
         another writer has taken the run over.
         """
-        begun, folder = time.perf_counter(), self.writer.path / checkpoint.FOLDER
+        started, folder = time.perf_counter(), self.writer.path / checkpoint.FOLDER
         step = self.status.env_step
         config = self._config.model_dump(mode="json")
         try:
@@ -136,10 +136,10 @@ class Recorder:
         except OSError as error:
             message = f"no checkpoint could be written ({error}): free some space"
             self.consume(Notice(step, "checkpoint", message))
-        self._checkpoint_s += time.perf_counter() - begun
+        self._checkpoint_s += time.perf_counter() - started
 
     def consume(self, event: Event) -> None:
-        begun = time.perf_counter()
+        started = time.perf_counter()
         if event.env_step != self._pending_step or isinstance(event, Tick):
             self._write_row()
         match event:
@@ -166,7 +166,7 @@ class Recorder:
                 self.writer.arrays(layout.policy(event.env_step), event.arrays)
             case TrainedPolicy():
                 self.writer.arrays(layout.POLICY, event.arrays)
-        self._record_s += time.perf_counter() - begun
+        self._record_s += time.perf_counter() - started
 
     def beat(self) -> None:
         """Write the status with a fresh heartbeat, and the speed and time left by WINDOW_S."""
@@ -205,7 +205,7 @@ class Recorder:
                 self.writer.digests()
         except OSError as error:
             if state == "finished":
-                state, reason = "failed", self._why(error)
+                state, reason = "failed", self._failure_reason(error)
         finally:
             seconds = self._timer() - self._started
             self._update_status(
@@ -236,9 +236,9 @@ class Recorder:
         elif isinstance(error, KeyboardInterrupt):
             self.finish("stopped", "interrupted")
         else:
-            self.finish("failed", self._why(error))
+            self.finish("failed", self._failure_reason(error))
 
-    def _why(self, error: BaseException) -> str:
+    def _failure_reason(self, error: BaseException) -> str:
         """The cause of the run's end, the step, and the fix."""
         if isinstance(error, DivergedError):
             return str(error)

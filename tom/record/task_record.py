@@ -45,7 +45,7 @@ def changed(run: RunReader) -> tuple[str, str] | None:
     differ = [
         f"{name} was {_shown(recorded[name])}, now {_shown(now[name])}"
         for name in now
-        if name in recorded and not _same(recorded[name], now[name])
+        if name in recorded and not _is_same(recorded[name], now[name])
     ]
     if not differ:
         return None
@@ -64,7 +64,7 @@ def card_of(run: RunReader) -> dict[str, Any]:
     return {**make_card(rows).described(), "notices": notices}
 
 
-def _same(recorded: Any, now: Any) -> bool:
+def _is_same(recorded: Any, now: Any) -> bool:
     try:
         numbers = np.asarray(recorded, np.float64), np.asarray(now, np.float64)
     except (TypeError, ValueError):

@@ -31,7 +31,7 @@ def versions() -> dict[str, str]:
     return found
 
 
-def decides(name: str, before: str, now: str) -> bool:
+def may_change_results(name: str, before: str, now: str) -> bool:
     """Whether results may change silently between these two versions of the package `name`."""
     parts = DECISIVE.get(name, 0)
     return before.split(".")[:parts] != now.split(".")[:parts]

@@ -110,16 +110,16 @@ def head_to_head(outcomes: Sequence[Row]) -> list[Row]:
 
 def verdict(rows: Sequence[Row], pairs: Sequence[Row]) -> list[str]:
     """For each model the way with the lowest error, then the answers to questions of two ways."""
-    said = []
+    sentences = []
     for model in dict.fromkeys(row["model"] for row in rows):
         here = [row for row in rows if row["model"] == model]
         best = min(here, key=lambda row: row["one step"])
-        said.append(
+        sentences.append(
             f"Model {model}: {best['way']} errs least, {best['one step']:.2f} of the error under "
             f"uniform weights one step ahead (less in {best['one step, below 1']:.0%} of "
             f"{best['n']} trials), {best['five steps']:.2f} five steps ahead."
         )
-    return said + answer_sentences(pairs, "ratio", "less at")
+    return sentences + answer_sentences(pairs, "ratio", "less at")
 
 
 def capacity_figure(outcomes: Sequence[Row], ahead: str) -> Figure:

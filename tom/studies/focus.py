@@ -67,17 +67,17 @@ add_options = add_recordings
 
 def find(args: Namespace) -> Findings:
     runs = recordings(args)
-    asked = [
+    cases = [
         Case(run.path, rival, seed, made=run.created)
         for run in runs
         for seed in args.seeds
         for rival in RIVALS
     ]
     results = compute(
-        args, focus, asked, lambda one: f"{one['recording']}: {one['rival']} seed {one['seed']}"
+        args, focus, cases, lambda one: f"{one['recording']}: {one['rival']} seed {one['seed']}"
     )
     return Findings(
-        said=verdict(results),
+        sentences=verdict(results),
         files={"errors": results, "summary": summary(results)},
         titles={"summary": "Medians over seeds"},
         figures={"errors": (CAPTION, error_figure(results))},
@@ -178,20 +178,20 @@ def summary(results: Sequence[Row]) -> list[Row]:
 
 def verdict(results: Sequence[Row]) -> list[str]:
     """For each learner except MLE: where its model is better than MLE's, and whether as claimed."""
-    over, said = shares(results), []
+    over, sentences = shares(results), []
     for rival in dict.fromkeys(one["rival"] for one in over if one["rival"] != "mle"):
         of = {name: [one[name] for one in over if one["rival"] == rival] for name in QUANTITIES}
-        told = (
+        ratios = (
             f"{QUANTITIES[name]} {median(own):.2f} (less in {sum(x < 1 for x in own)}/{len(own)})"
             for name, own in of.items()
         )
-        line = f"{RIVALS[rival]}: error over MLE's, median: {', '.join(told)}."
+        line = f"{RIVALS[rival]}: error over MLE's, median: {', '.join(ratios)}."
         if rival.startswith("tom"):
             less = sum(median(of[name]) < 1 for name in ("policy", "policy_rollout"))
             says = ("not as claimed", "as claimed over one of the two lengths only", "as claimed")
             line += f" Where the policy goes: {says[less]}."
-        said.append(line)
-    return said
+        sentences.append(line)
+    return sentences
 
 
 def error_figure(results: Sequence[Row]) -> Figure:

@@ -97,33 +97,33 @@ def head_to_head(outcomes: Sequence[Row]) -> list[Row]:
 
 def verdict(outcomes: Sequence[Row]) -> list[str]:
     """The tables in words."""
-    said, counted = [], informative_outcomes(outcomes)
+    sentences, counted = [], informative_outcomes(outcomes)
     if counted:
         noise = [one["footprint_noise"] for one in counted if one["way"] == UNIFORM] or [np.nan]
         runs, envs = ({one[name] for one in counted} for name in ("recording", "env"))
-        said.append(
+        sentences.append(
             f"{len(_moments(counted))} moments of {len(runs)} runs in {len(envs)} tasks. 1 is no "
             "nearer to what the policy does than uniform weights, 0 the policy itself; two samples "
             f"of the policy are {median(noise):.2g} apart (median)."
         )
-    told = sorted(
+    ranked = sorted(
         (row for row in summary(outcomes) if row["way"] != UNIFORM), key=itemgetter("distance")
     )
-    worse = [row for row in told if row["distance"] > 1]
+    worse = [row for row in ranked if row["distance"] > 1]
     for what, rows in (
-        ("Nearest", told[:3]),
+        ("Nearest", ranked[:3]),
         ("Further from the policy than no weights at all", worse),
     ):
         if rows:
             named = ", ".join(f"{row['way']} {with_interval(row, 'distance')}" for row in rows)
-            said.append(f"{what}: {named}.")
+            sentences.append(f"{what}: {named}.")
     if lost := _moments(outcomes) - _moments(counted):
         where = ", ".join(f"{recording} at {step}" for recording, step in sorted(lost))
-        said.append(
+        sentences.append(
             "Not counted, because the unweighted buffer is no farther from the policy than two "
             f"samples of it are from each other, and distances are noise: {where}."
         )
-    return said + answer_sentences(head_to_head(outcomes), "difference", "nearer at")
+    return sentences + answer_sentences(head_to_head(outcomes), "difference", "nearer at")
 
 
 def _moments(outcomes: Sequence[Row]) -> set[tuple[str, int]]:

@@ -109,9 +109,9 @@ def add_options(parser: ArgumentParser) -> None:
 def find(args: Namespace) -> Findings:
     check_known("model", [args.model], MODELS)
     runs = _runs(args)
-    asked = cases(runs, chosen_ways(args), args.seeds, args.moments, (args.model,))
-    asked = [replace(case, updates=args.updates, episodes=args.episodes) for case in asked]
-    trials = compute(args, improve, asked, outcome_label)
+    requested = cases(runs, chosen_ways(args), args.seeds, args.moments, (args.model,))
+    requested = [replace(case, updates=args.updates, episodes=args.episodes) for case in requested]
+    trials = compute(args, improve, requested, outcome_label)
     rows, figures = summary(trials), {"improvement": (CAPTION, improvement_figure(trials))}
     return findings(args, verdict(trials, rows), {"summary": rows}, trials, figures)
 
@@ -160,7 +160,7 @@ def improve(case: Case) -> Row:
         np.append(first_sac_step(run), steps),
         np.append(settings.initial_temperature, values),
     )
-    ends = _ends(run, rows, config)
+    ends = _termination(run, rows, config)
 
     def during(fit: DynamicsModel, weights: Tensor) -> float:
         sac = resumed_sac(policy, settings, temperature, Streams(seed).torch("sac"))
@@ -183,7 +183,7 @@ def temperature_at(step: int, steps: NDArray[Any], values: NDArray[Any]) -> floa
     return float(np.exp(np.interp(step, steps, np.log(values))))
 
 
-def _ends(run: RunReader, rows: TensorTransitions, config: OnlineConfig) -> Termination:
+def _termination(run: RunReader, rows: TensorTransitions, config: OnlineConfig) -> Termination:
     """What ends a modelled episode."""
     known, named = task(run.env), _rule_of(run)
     if not learns_ends(known, named):
@@ -285,30 +285,30 @@ def verdict(trials: Sequence[Row], rows: Sequence[Row]) -> list[str]:
     """The table in words, how far chance moves a return, and what cannot be said."""
     keys = {trial_of(one) for one in trials}
     moments = {(recording, step) for recording, step, _ in keys}
-    said = [
+    sentences = [
         f"{len(moments)} moments of {len({recording for recording, _ in moments})} runs, "
         f"{len(keys)} trials of each way."
     ]
     at: dict[tuple[str, str, int], list[float]] = {}
     for one in (one for one in trials if one["way"] == UNIFORM):
         at.setdefault((one["env"], one["recording"], one["step"]), []).append(one["both"])
-    apart: dict[str, list[float]] = {}
+    seed_gaps: dict[str, list[float]] = {}
     for (env, _, _), values in at.items():
-        apart.setdefault(env, []).extend(abs(a - b) for a, b in combinations(values, 2))
-    if noise := [f"{env} {median(of):.0f}" for env, of in apart.items() if of]:
-        said[0] += f" Two seeds of uniform weights differ by (median): {', '.join(noise)}."
+        seed_gaps.setdefault(env, []).extend(abs(a - b) for a, b in combinations(values, 2))
+    if noise := [f"{env} {median(of):.0f}" for env, of in seed_gaps.items() if of]:
+        sentences[0] += f" Two seeds of uniform weights differ by (median): {', '.join(noise)}."
     if lost := sum(not isfinite(sum(trial[place] for place in PLACES)) for trial in trials):
-        said.append(f"SAC diverged in {lost} trials, which are left out.")
+        sentences.append(f"SAC diverged in {lost} trials, which are left out.")
     for row in (row for row in rows if row["p"] != ""):
         less = row["recordings"] - row["better on"]
         decided = "better" if row["better on"] > less else "worse"
-        said.append(
+        sentences.append(
             f"{row['way']}, {row['what'].partition(', ')[2]}: better in {row['better in trials']} "
             f"of {row['n']} trials; better in most of them on {row['better on']} recordings, worse "
             f"on {less} (sign test p = {row['p']:.2f}): "
             + ("undecided." if row["p"] >= 0.05 else f"{decided} than uniform weights.")
         )
-    return said
+    return sentences
 
 
 def improvement_figure(trials: Sequence[Row]) -> Figure:

@@ -55,10 +55,10 @@ def find(args: Namespace) -> Findings:
             f"{args.store}/ has no such run that weighed its buffer: tom sweep --env "
             f"{' '.join(envs)} --learner tom pmac vagram --preset {args.preset[0]} makes them"
         )
-    told = rows(found)
+    profile_rows = rows(found)
     return Findings(
-        said=verdict(told),
-        files={"profiles": _profiles(found), "online": told},
+        sentences=verdict(profile_rows),
+        files={"profiles": _profiles(found), "online": profile_rows},
         titles={"online": "Every profile"},
         figures={"online": (CAPTION, online_figure(found))},
         origin=origin_of_runs([panel.run for panel in found]),
@@ -139,11 +139,11 @@ def verdict(rows: Sequence[Row]) -> list[str]:
     That is also true of even weights. So the paper's claim is tested on profiles that are not even,
     and on their excess over even weights, in the paper's tasks.
     """
-    said = []
+    sentences = []
     for name in dict.fromkeys(row["learner"] for row in rows):
         own = [row for row in rows if row["learner"] == name]
         share = [row["newest tenth"] for row in own]
-        said.append(
+        sentences.append(
             f"{name}: in {sum(one < 0.5 for one in share)} of {len(share)} profiles most weight "
             f"lies outside the newest tenth (median share there {np.median(share):.2f}), and in "
             f"{sum(row['peak at'] < 1 - NEWEST for row in own)} the peak does; "
@@ -154,14 +154,14 @@ def verdict(rows: Sequence[Row]) -> list[str]:
         uneven = [share for share in of_paper if isfinite(share)]
         agree = sum(share < 0.5 for share in uneven)
         says = ("Half of them is no verdict.", "So the paper says.", "The paper says otherwise.")
-        said.append(
+        sentences.append(
             "What lies above even weights lies mostly before the newest tenth in "
             f"{agree} of the {len(uneven)} profiles of TOM that are not nearly even. "
             f"{says[int(np.sign(2 * agree - len(uneven)))]}"
             if uneven
             else "All of TOM's are nearly even: nothing to hold against the paper."
         )
-    return said
+    return sentences
 
 
 def online_figure(panels: Sequence[RunProfiles]) -> Figure:

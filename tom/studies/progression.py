@@ -110,7 +110,7 @@ def find(args: Namespace) -> Findings:
     judged, found = args.preset[0], checks(done)
     caption = "Mean weight along the ordered buffer, single seeds faint"
     return Findings(
-        said=verdict([row for row in found if row["preset"] == judged]),
+        sentences=verdict([row for row in found if row["preset"] == judged]),
         files={"profiles": _profiles(done)},
         titles={},
         figures={
@@ -226,7 +226,7 @@ def finding(
 
 def verdict(found: Sequence[Row]) -> list[str]:
     """Whether TOM's weights are low on random data, rise, and rise before the end."""
-    said = []
+    sentences = []
     for quantity, (what, holds) in CLAIMS.items():
         wanted = ("own", "tom", quantity)
         values = [
@@ -236,12 +236,12 @@ def verdict(found: Sequence[Row]) -> list[str]:
         ]
         if values:
             held = sum(map(holds, values))
-            said.append(
+            sentences.append(
                 f"TOM's weights {what} in {held} of {len(values)} recordings "
                 f"({', '.join(f'{value:.3g}' for value in values)}): "
                 f"{agreement_with_paper(held, len(values))}"
             )
-    return said
+    return sentences
 
 
 def _profiles(done: Sequence[Result]) -> Iterator[Row]:

@@ -83,14 +83,14 @@ def find(args: Namespace) -> Findings:
     envs, planned = tasks(args.env), args.groups is not None
     whole, cells, left_out = _chosen(args, envs)
     by = [BY[name] for name in args.by]
-    said = verdict(cells)
+    sentences = verdict(cells)
     if left_out:
-        said.append(
+        sentences.append(
             "Left out, for other settings, a longer run of the seed, no evaluation, a first one "
             f"after the others' end, or an end before --at: {', '.join(left_out)}."
         )
     return Findings(
-        said=said,
+        sentences=sentences,
         files={
             "returns": _curves(cells),
             "summary": tables.summary(cells),
@@ -172,22 +172,22 @@ def _curves(cells: Sequence[Cell]) -> Iterator[Row]:
 def verdict(cells: Sequence[Cell]) -> list[str]:
     """TOM's place among the groups with enough runs to be ranked, and the reservations."""
     of_paper = [c for c in cells if c.env in PAPER_ENVS]
-    said = _places([c for c in of_paper if c.n >= RANKED])
+    sentences = _places([c for c in of_paper if c.n >= RANKED])
     if few := [f"{c.env}: {c.label} (n = {c.n})" for c in of_paper if c.n < RANKED]:
-        said.append(f"Not ranked, with fewer than {RANKED} runs: {'; '.join(few)}.")
+        sentences.append(f"Not ranked, with fewer than {RANKED} runs: {'; '.join(few)}.")
     for env, step in compared_at(cells).items():
         here = [c for c in cells if c.env == env]
         if (longest := max(cell.longest for cell in here)) > step:
-            said.append(
+            sentences.append(
                 f"{env}: compared at step {step:.0f} of {longest:.0f}, the last that all runs "
                 "reach."
             )
         if paths := differing_settings([run for cell in here for run in cell.runs]):
-            said.append(
+            sentences.append(
                 f"{env}: the learners' runs differ in more than learner, seed and steps "
                 f"({', '.join(paths)}), so returns may differ by these settings."
             )
-    return said
+    return sentences
 
 
 def _places(ranked: Sequence[Cell]) -> list[str]:
@@ -207,25 +207,27 @@ def _places(ranked: Sequence[Cell]) -> list[str]:
         env: max(c.scores().mean() for c in every if c.env == env and c.learner != "tom")
         for env in judged
     }
-    said = []
+    sentences = []
     for label in dict.fromkeys(c.label for c in every if c.learner == "tom"):
         own = [c for c in every if c.label == label]
         first = [c.env for c in own if c.scores().mean() > best[c.env]]
         where = f" ({', '.join(first)})" if first else ""
-        said.append(
+        sentences.append(
             f"{label} has the highest mean in {len(first)} of {len(own)} of the paper's "
             f"environments{where}; the paper says 4 of 5."
         )
     if few := remark([c.n for c in every]):
-        said.append(f"The smallest group: {few}.")
+        sentences.append(f"The smallest group: {few}.")
     short = [
         f"{env} {step:.0f} of {task(env).steps}"
         for env, step in compared_at(every).items()
         if step < task(env).steps
     ]
     if short:
-        said.append(f"Compared before the end of the paper's training: {'; '.join(short)} steps.")
-    return said
+        sentences.append(
+            f"Compared before the end of the paper's training: {'; '.join(short)} steps."
+        )
+    return sentences
 
 
 def return_figure(cells: Sequence[Cell]) -> Figure:

@@ -101,8 +101,8 @@ def select(
     cells = [cell for cell in cells if groups is None or cell.label in groups]
     late = [cell for cell in compared(cells) if not all_have_started(cell.curves, cell.at)]
     left_out += [run.run_id for cell in late for run in cell.runs]
-    gone = {(cell.env, cell.label) for cell in late}
-    return compared([cell for cell in cells if (cell.env, cell.label) not in gone]), left_out
+    excluded = {(cell.env, cell.label) for cell in late}
+    return compared([cell for cell in cells if (cell.env, cell.label) not in excluded]), left_out
 
 
 def all_cells(

@@ -100,18 +100,18 @@ def find(args: Namespace) -> Findings:
         for turn in TURNS
         for case in cases(MAIN, args.sweep_seeds)
     ]
-    told = compute(
+    results = compute(
         args,
         run_case,
         [*main, *swept],
         lambda story: "{name} seed {seed} turn {turn:g}".format(**story.outcome),
     )
-    stories, sweep = told[: len(main)], [story.outcome for story in told[len(main) :]]
+    stories, sweep = results[: len(main)], [story.outcome for story in results[len(main) :]]
     outcomes = [story.outcome for story in stories]
     first = {story.outcome["name"]: story for story in reversed(stories)}
     weighed = {label: first[name] for name, (_, label) in LEARNERS.items()}
     return Findings(
-        said=verdict(outcomes, sweep),
+        sentences=verdict(outcomes, sweep),
         files={
             "outcomes": outcomes,
             "sweep": sweep,
@@ -266,13 +266,13 @@ def controls(outcomes: Sequence[Row]) -> list[Row]:
 def verdict(outcomes: Sequence[Row], sweep: Sequence[Row]) -> list[str]:
     """Whether TOM beats MLE and weighs the road, what else does so, and where MLE is enough."""
     tom, mle = _named(outcomes, "tom"), _named(outcomes, "mle")
-    said = []
+    sentences = []
     for quantity, what in (
         ("sac_return", "return is above MLE's"),
         ("road_share", "share of weight on the road is above MLE's"),
     ):
         above = sum(t[quantity] > m[quantity] for t, m in zip(tom, mle, strict=True))
-        said.append(
+        sentences.append(
             f"TOM's {what} on {above} of {len(tom)} seeds (median {_median(tom, quantity):.2f} "
             f"against {_median(mle, quantity):.2f}): {agreement_with_paper(above, len(tom))}"
         )
@@ -282,7 +282,7 @@ def verdict(outcomes: Sequence[Row], sweep: Sequence[Row]) -> list[str]:
         if (of := _named(outcomes, name)) and _median(of, "sac_success") >= TOM_SUCCESS_MIN
     ]
     if simpler:
-        said.append(
+        sentences.append(
             f"What the paper leaves out: {', '.join(simpler)} arrive as well, so the task does not "
             "show that TOM's dual is what helps."
         )
@@ -291,12 +291,12 @@ def verdict(outcomes: Sequence[Row], sweep: Sequence[Row]) -> list[str]:
         by_turn.setdefault(o["turn"], []).append(o)
     arrives = [t for t, of in by_turn.items() if _median(of, "planner_success") >= TOM_SUCCESS_MIN]
     if arrives:
-        said.append(
+        sentences.append(
             "The paper does not say how much its rocks turn the steering: at "
             f"{', '.join(f'{turn:g}' for turn in sorted(arrives))} degrees the planner arrives in "
             "MLE's model, too, and the claim does not hold."
         )
-    return said
+    return sentences
 
 
 def _returns(stories: Sequence[CaseResult]) -> Iterator[Row]:

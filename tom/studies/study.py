@@ -59,7 +59,7 @@ Row = dict[str, Any]
 class Findings:
     """What a study found."""
 
-    said: Sequence[str]
+    sentences: Sequence[str]
     """in sentences: whether the paper's claim holds"""
     files: Mapping[str, Iterable[Mapping[str, Any]]]
     """the rows of each CSV file, by its name"""

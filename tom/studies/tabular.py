@@ -91,7 +91,7 @@ def find(args: Namespace) -> Findings:
     )
     table = summary(rows)
     return Findings(
-        said=verdict(table),
+        sentences=verdict(table),
         files={
             "estimates": rows,
             "summary": table,
@@ -229,17 +229,19 @@ def near_exact(family: str, rows: Sequence[Row]) -> list[Row]:
 
 def verdict(table: Sequence[Row]) -> list[str]:
     """How far the claim holds, by the summary of the variants."""
-    told = {
+    descriptions = {
         row["variant"]: f"{row['variant']}: rank correlation {row['spearman']:.2f}, relative L1 "
         f"error {row['l1']:.2f} (medians)."
         for row in table
     }
     judged = table[0]
     recovered = "as the paper says" if judged["spearman"] >= 0.95 else "not as claimed"
-    said = [f"The ratio is recovered {recovered} by {told[judged['variant']]}"]
-    if PAPER in told:
-        said.append(f"With the paper's networks and steps the weights are those of {told[PAPER]}")
-    return said
+    sentences = [f"The ratio is recovered {recovered} by {descriptions[judged['variant']]}"]
+    if PAPER in descriptions:
+        sentences.append(
+            f"With the paper's networks and steps the weights are those of {descriptions[PAPER]}"
+        )
+    return sentences
 
 
 def _points(estimates: Sequence[Estimate]) -> Iterator[Row]:

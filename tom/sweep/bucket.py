@@ -100,7 +100,7 @@ class BucketBackend(FolderBackend, AbstractContextManager["BucketBackend", None]
 
         If this is wrong, the old attempt ends when it sees the newer one.
         """
-        return "away" if self._leased(run.run_id) else None
+        return "away" if self._is_leased(run.run_id) else None
 
     def ended(self, run_id: str) -> None:
         """Take back its claim, so that neither this machine nor another one waits for it.
@@ -160,7 +160,7 @@ class Worker:
         self._fetched = RunReader(self.folder).config
         code = self._train(options)
         for _ in range(LAST_PUTS):
-            if self._put():
+            if self._put_in_bucket():
                 return code
             time.sleep(AGAIN_S)
         raise OSError(f"the store took nothing for {LAST_PUTS * AGAIN_S / 60:.0f} minutes")
@@ -178,13 +178,13 @@ class Worker:
                     code = process.wait(wait_s)
                     return code if code >= 0 else TRY_LATER
                 if RunReader(self.folder).config != self._fetched:  # else it may yet begin anew
-                    self._put()
+                    self._put_in_bucket()
                 wait_s = min(2 * wait_s, PUT_S)
         finally:
             process.kill()  # if another attempt has taken the run over
             process.wait()
 
-    def _put(self) -> bool:
+    def _put_in_bucket(self) -> bool:
         """Put the new parts of the run; False if the bucket failed. Raises LostError."""
         if not (self.folder / layout.STATUS).exists():
             return True  # the training has not started, or was refused
@@ -227,9 +227,11 @@ def main(url: str, own: str, run_id: str, options: Sequence[str]) -> int:
         store = local_store(url, run_id)
         store.mkdir(exist_ok=True)
         stays = f"; all of it stays in {store} on this machine, and the same command puts it there"
-        with lock.alone_in(store):
+        with lock.exclusive_lock(store):
             bucket = Bucket.open(url)
-            while lock.held(store / run_id):  # a training whose worker was killed saves its state
+            while lock.is_held(
+                store / run_id
+            ):  # a training whose worker was killed saves its state
                 time.sleep(0.1)
             try:
                 code = Worker(bucket, own, store / run_id).work(options)

@@ -71,12 +71,12 @@ class FolderBackend:
 
         By the lock, or by another machine's heartbeat that was seen to change a moment ago.
         """
-        here = lock.written_here(run.path)
-        if lock.held(run.path):  # a shared file system may also show another machine's lock
+        here = lock.was_written_here(run.path)
+        if lock.is_held(run.path):  # a shared file system may also show another machine's lock
             return "away" if here is False else "here"
         status = run.status
         self._note_sign(run.run_id, status if status.state == "running" and here is False else None)
-        return "away" if self._leased(run.run_id) else None
+        return "away" if self._is_leased(run.run_id) else None
 
     def ended(self, run_id: str) -> None:
         """Note that the process that was last started for the run was seen to end.
@@ -92,7 +92,7 @@ class FolderBackend:
         if run_id not in self._seen or self._seen[run_id][0] != sign:
             self._seen[run_id] = (sign, self._clock())
 
-    def _leased(self, run_id: str) -> bool:
+    def _is_leased(self, run_id: str) -> bool:
         """Whether the run is to be left to its writer."""
         sign, since = self._seen.get(run_id, (None, 0.0))
         return sign is not None and self._clock() - since < self.lease_s

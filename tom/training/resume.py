@@ -16,7 +16,7 @@ from tom.record.files import set_aside
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import RerunSink
 from tom.record.task_record import changed
-from tom.record.versions import ACCEPT, decides, versions
+from tom.record.versions import ACCEPT, may_change_results, versions
 from tom.record.writer import RunWriter
 from tom.training.plan import is_done, steps_beyond
 from tom.training.presets import config_type
@@ -104,7 +104,7 @@ def find_unfinished(store: Store, config: AnyConfig, *, run_id: str | None = Non
     """
     for reader in store.runs():
         beyond = steps_beyond(config, reader)
-        if beyond is None or run_id not in (None, reader.run_id) or lock.held(reader.path):
+        if beyond is None or run_id not in (None, reader.run_id) or lock.is_held(reader.path):
             continue
         if (beyond > 0 and run_id is None) or is_done(config, reader):
             continue
@@ -161,7 +161,9 @@ def _changed_versions(reader: RunReader, accepted: bool) -> str:
         for name in now
         if before.get(name, now[name]) != now[name]
     }
-    decisive = [changed[name] for name in changed if decides(name, str(before[name]), now[name])]
+    decisive = [
+        changed[name] for name in changed if may_change_results(name, str(before[name]), now[name])
+    ]
     if decisive and not accepted:
         raise UserError(
             f"run '{reader.run_id}' was trained with other versions ({', '.join(decisive)}), and "

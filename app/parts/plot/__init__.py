@@ -104,6 +104,6 @@ def chart(
     }
     parts.draw(
         "plot", _HTML, key, data, drawn.height,
-        clicked=lambda told: clicked and clicked(Point(**told)),
-        viewed=lambda told: viewed and viewed(View(*(told[of] and tuple(told[of]) for of in "xy"))),
+        clicked=lambda event: clicked and clicked(Point(**event)),
+        viewed=lambda view: viewed and viewed(View(*(view[of] and tuple(view[of]) for of in "xy"))),
     )  # fmt: skip

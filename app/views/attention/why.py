@@ -142,9 +142,9 @@ def _neighbours(run: RunReader, rows: Rows, found: Why, row: int) -> None:
 
 def _rollouts(run: RunReader, rows: Rows, row: int, step: int | None) -> None:
     st.markdown("**The rollouts that start there**")
-    begun = reasons.starts(run, rows, row)
-    if begun is not None:
-        here, usual = begun
+    starts = reasons.starts(run, rows, row)
+    if starts is not None:
+        here, usual = starts
         st.caption(
             f"About {here:,.2f} of each round's rollouts start in this state; {usual:,.2f} would "
             "at weight 1."
@@ -273,8 +273,8 @@ def _brushed(run: RunReader, brushed: Brushed) -> None:
         if task is None or model is None:
             st.caption("No ghosts: there is no robot to draw.")
             return
-        name, drawn = f"region {factor_text(factor)}", (task, model)
-        page = ghost_film(drawn, brushed.ghosts, factor, name, run.learner, session.mode())
+        name, robot = f"region {factor_text(factor)}", (task, model)
+        page = ghost_film(robot, brushed.ghosts, factor, name, run.learner, session.mode())
         st.iframe(page, height=BRUSH_HEIGHT, alt="Ghosts of two models")
         st.caption(
             "An evaluation episode at a quarter of real time, and its prediction by two models, "

@@ -27,7 +27,7 @@ def made_up(find: Callable[[Namespace], Findings]) -> ModuleType:
 def carried_out(checks: list[Row], out: Path, *, as_json: bool = False) -> int:
     """The exit code of a study that finds these checks."""
     found = Findings(
-        said=["Agrees."],
+        sentences=["Agrees."],
         files={"numbers": [{"a": 1, "b": 0.5, "c": float("nan")}], "points": iter([{"a": 2}])},
         titles={"numbers": "Numbers"},
         figures={"drawn": ("A caption", new_figure(2, 2))},

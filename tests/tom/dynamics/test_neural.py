@@ -74,7 +74,7 @@ def test_small_gains_add_up_and_what_is_not_a_number_is_none():
     best = _Best(Mdn(2, 1, SMALL, generator()), min_gain=0.01)
     best.keep(torch.tensor([1.0]))  # before the first round: kept, but no gain
     losses = [0.995, 0.991, 0.986, 0.982, 0.98, float("nan"), 0.95]
-    gains = [best.offer(torch.tensor([loss])) for loss in losses]
+    gains = [best.update(torch.tensor([loss])) for loss in losses]
     assert gains == [True, False, False, True, False, False, True]
     assert best.losses == torch.tensor([0.95])
 

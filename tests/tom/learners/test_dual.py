@@ -136,7 +136,7 @@ def test_the_last_step_is_judged_though_it_is_between_two_looks():
         net(), lambda _: next(losses), QUICK.but(q_steps=50, q_check_every=20, q_holdout=0.25)
     )
     for step in range(1, 51):
-        validation.ends(step)
+        validation.is_over(step)
     assert validation.metrics == {"dual/holdout_loss": 1.0, "dual/steps": 50}
 
 

@@ -261,7 +261,7 @@ def test_two_writers_of_one_run_are_refused(store: Store):
         RunWriter.create(store, "run", Config)
     with pytest.raises(BusyError):
         RunWriter(store.path / "run", Config)
-    assert lock.held(writer.path)
+    assert lock.is_held(writer.path)
     writer.close()
-    assert not lock.held(writer.path)
+    assert not lock.is_held(writer.path)
     RunWriter(store.path / "run", Config).close()
