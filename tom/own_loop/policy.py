@@ -118,7 +118,11 @@ def _asked(policy: Any) -> Callable[[Tensor], Any]:
     predict = getattr(policy, "predict", None)
     if not callable(policy) and predict is None:
         raise UserError("policy: give a function of observations, a torch module or SB3's model")
-    function = policy if predict is None else lambda obs: predict(obs, deterministic=False)[0]
+    function = policy
+    if predict is not None:
+        normalised = getattr(policy, "get_vec_normalize_env", lambda: None)()
+        seen = (lambda obs: obs) if normalised is None else normalised.normalize_obs
+        function = lambda obs: predict(seen(obs), deterministic=False)[0]  # noqa: E731
     return lambda obs: function(obs.numpy().astype(np.float32))
 
 

@@ -14,6 +14,7 @@ from loops import Watched, loaded
 from ray.rllib.policy.sample_batch import SampleBatch
 from ray.rllib.utils.replay_buffers.prioritized_replay_buffer import PrioritizedReplayBuffer
 from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from tom.data.datasets import read_dataset
@@ -22,8 +23,10 @@ from tom.errors import UserError
 from tom.integrations.gymnasium import RecordEnv, RecordVectorEnv
 from tom.integrations.rllib import priorities
 from tom.integrations.sb3 import RecordCallback, export_buffer, export_policy
+from tom.own_loop.opening import known_task
+from tom.own_loop.policy import PolicyCopier
 from tom.own_loop.run import record
-from tom.policy.stored import read_policy
+from tom.policy.stored import StoredPolicy, read_policy
 
 
 def small(kind, env, **options):
@@ -94,6 +97,49 @@ def test_a_policy_of_ppo_is_learnt_from_its_answers(tmp_path: Path):
     assert len(run.transitions) == 256
     assert np.abs(run.transitions["action_0"].to_numpy()).max() <= 2
     assert float(run.metrics["policy/copy_error"].dropna().tolist()[-1]) < 0.2
+
+
+class Features(BaseFeaturesExtractor):
+    """As many features as a pendulum has observations."""
+
+    def __init__(self, space: gymnasium.Space) -> None:
+        super().__init__(space, 3)
+        self.net = torch.nn.Linear(3, 3)
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        return torch.tanh(self.net(observations))
+
+
+@pytest.mark.parametrize("kind", ["normalised"])
+def test_a_model_of_another_form_is_kept_as_it_acts(kind: str):
+    env: Any = DummyVecEnv([pendulum])
+    if kind == "normalised":
+        env = VecNormalize(env)
+        env.obs_rms.mean, env.obs_rms.var = np.array([0, 0, 3.0]), np.array([0.5, 0.5, 16])
+        model = small(PPO, env, n_steps=64)
+    else:
+        model = small(SAC, env, buffer_size=10)
+    with torch.no_grad():
+        match kind:
+            case "normalised":
+                model.policy.action_net.weight *= 100
+                model.policy.log_std -= 3
+            case "features":
+                model.actor.features_extractor = Features(model.observation_space)
+                model.actor.mu.weight *= 30
+                model.actor.log_std.bias -= 4
+            case "quantiles":  # as of TQC's critics
+                wide = [torch.nn.Sequential(*net[:-1], torch.nn.Linear(8, 25))
+                        for net in model.critic.q_networks]  # fmt: skip
+                model.critic.q_networks = wide
+    angle, known = np.linspace(-3, 3, 1000), known_task("Pendulum-v1")
+    obs = np.stack((np.cos(angle), np.sin(angle), 6 * np.sin(7 * angle)), 1).astype(np.float32)
+    seen = known.unit_obs(obs)
+    kept = StoredPolicy(PolicyCopier(known).copy(model, seen)[0])
+    asked = env.normalize_obs(obs) if kind == "normalised" else obs
+    expected = model.predict(asked, deterministic=True)[0]
+    assert np.abs(2 * kept.mean(torch.from_numpy(seen)).numpy() - expected).mean() < 0.06
+    assert kept.value_gradient is None
 
 
 def test_an_environment_records_itself(tmp_path: Path):
