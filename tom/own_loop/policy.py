@@ -134,6 +134,8 @@ def _networks(model: Any) -> tuple[Layers, list[Layers], Any, Any] | None:
     actor = getattr(model, "actor", None)
     if actor is None or not hasattr(model, "get_vec_normalize_env") or not hasattr(actor, "mu"):
         return None
+    if type(actor.features_extractor).__name__ != "FlattenExtractor":  # a network before these
+        return None
     if isinstance(actor.mu, nn.Linear):  # SAC
         layers = _layers([*getattr(actor, "latent_pi", ())])
         if layers is None or not isinstance(actor.log_std, nn.Linear):  # or it explores by a state
