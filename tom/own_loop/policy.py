@@ -150,7 +150,8 @@ def _networks(model: Any) -> tuple[Layers, list[Layers], Any, Any] | None:
         narrow = np.append(bias, np.full(len(bias), NARROW))
         layers[-1] = np.hstack((weight, np.zeros_like(weight))), narrow
     critics = [_layers([*net]) for net in getattr(model.critic, "q_networks", ())]
-    whole = [critic for critic in critics if critic]
+    # TQC's give many quantiles.
+    whole = [critic for critic in critics if critic and critic[-1][0].shape[1] == 1]
     normalised = model.get_vec_normalize_env()
     if normalised is None or not normalised.norm_obs:
         return layers, whole, 0.0, 1.0

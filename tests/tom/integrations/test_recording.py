@@ -110,7 +110,7 @@ class Features(BaseFeaturesExtractor):
         return torch.tanh(self.net(observations))
 
 
-@pytest.mark.parametrize("kind", ["normalised", "features"])
+@pytest.mark.parametrize("kind", ["normalised", "features", "quantiles"])
 def test_a_model_of_another_form_is_kept_as_it_acts(kind: str):
     env: Any = DummyVecEnv([pendulum])
     if kind == "normalised":
