@@ -254,11 +254,11 @@ def test_a_buffer_without_the_ends_of_episodes_is_refused(tmp_path: Path):
         export_buffer(model, tmp_path / "buffer.npz")
 
 
-@pytest.mark.parametrize("kind", [SAC, TD3])
-def test_an_exported_policy_is_the_models(kind, tmp_path: Path):
-    model = kind(
-        "MlpPolicy", gymnasium.make("Pendulum-v1"), seed=0, policy_kwargs={"net_arch": [8]}
-    )
+@pytest.mark.parametrize(("kind", "options"), [(SAC, {}), (SAC, {"use_sde": True}), (TD3, {})])
+def test_an_exported_policy_is_the_models(kind, options, tmp_path: Path):
+    policy = {"net_arch": [8]} | ({"log_std_init": -1.0} if options else {})
+    env = gymnasium.make("Pendulum-v1")
+    model = kind("MlpPolicy", env, seed=0, buffer_size=10, policy_kwargs=policy, **options)
     model.actor.train()
     export_policy(model, tmp_path / "policy.pt")
     assert model.actor.training  # the model goes on as it was
@@ -267,3 +267,9 @@ def test_an_exported_policy_is_the_models(kind, tmp_path: Path):
     action = 2 * torch.tanh(found[0]) if kind is SAC else found
     expected = model.predict(obs, deterministic=True)[0]
     np.testing.assert_allclose(action.detach(), expected, atol=1e-5)
+    if options:  # the spread of the state's own noise
+        torch.manual_seed(0)
+        own = model.policy.obs_to_tensor(np.repeat(obs[:1], 4000, 0))[0]
+        model.actor.reset_noise(4000)
+        drawn = torch.atanh(model.actor(own).detach().clamp(-0.9999, 0.9999))
+        np.testing.assert_allclose(drawn.std(), found[1][0].exp().detach(), rtol=0.1)
