@@ -158,6 +158,40 @@ def test_an_environment_records_itself(tmp_path: Path):
     assert run.transitions["truncated"].to_numpy().nonzero()[0].tolist() == [29, 59, 89]
 
 
+@pytest.mark.parametrize("flushed", [False, True])
+def test_a_reset_cuts_the_episode(flushed: bool, tmp_path: Path):
+    env = RecordEnv(pendulum(), "mine", store=tmp_path, strict=True)
+    for steps in (10, 5, 30):
+        env.reset(seed=0)
+        for _ in range(steps):
+            env.step(env.action_space.sample())
+        if flushed:  # the rows are in the record by then
+            env.run.weights(env.run.step, np.ones(env.run.step))
+    env.reset()
+    env.close()
+    run = loaded(tmp_path)
+    assert run.transitions["truncated"].to_numpy().nonzero()[0].tolist() == [9, 14, 44]
+    rewards = run.transitions["reward"].to_numpy()
+    np.testing.assert_allclose(
+        run.metrics["train/return"].dropna(), [rewards[15:].sum()], rtol=1e-5
+    )
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode)[:2])
+def test_a_reset_cuts_the_episodes_of_a_vector(mode: AutoresetMode, tmp_path: Path):
+    envs = gymnasium.make_vec(
+        "Pendulum-v1", num_envs=2, max_episode_steps=8, vector_kwargs={"autoreset_mode": mode}
+    )
+    envs = RecordVectorEnv(envs, "mine", store=tmp_path, strict=True)
+    for steps in (5, 8, 3):
+        envs.reset(seed=0)
+        for _ in range(steps):
+            envs.step(envs.action_space.sample())
+    envs.close()
+    truncated = loaded(tmp_path).transitions["truncated"].to_numpy()
+    assert truncated.nonzero()[0].tolist() == [4, 9, 17, 25, 28, 31]
+
+
 @pytest.mark.parametrize("mode", list(AutoresetMode)[:2])
 def test_a_vector_of_environments_records_itself(mode: AutoresetMode, tmp_path: Path):
     envs = gymnasium.make_vec(
