@@ -58,7 +58,8 @@ def import_metrics(
     named = {}
     for training, table in found.items():
         words = "-".join(filter(None, (name, training or ("" if name else path.stem))))
-        named[re.sub(r"[^A-Za-z0-9._-]", "-", words)[:95]] = table
+        run_id = re.sub(r"[^A-Za-z0-9._-]", "-", words)[:95]
+        named[f"{run_id}-{len(named) + 1}" if run_id in named else run_id] = table
     place, known = Store(Path(store)), known_task(env)
     if taken := [run_id for run_id in named if place.resolve(run_id).exists()]:
         raise UserError(f"run '{taken[0]}' exists already: choose another --name")
