@@ -27,8 +27,8 @@ RETURNS = (
     "train/return",
 )
 """metrics that become the return, the first that is there"""
-STEPS = ("Step", "_step", "global_step", "env_step", "step")
-"""columns of a CSV that count env steps"""
+STEPS = ("global_step", "env_step", "Step", "_step", "step")
+"""columns of a CSV that count env steps, the first that is there; W&B's own count its logs"""
 
 
 def import_metrics(
