@@ -312,7 +312,7 @@ def with_collectors(data: OrderedData, policies: Sequence[PolicyOfInterest]) -> 
     obs, versions = data.transitions.obs, data.policy_version
     known = versions[versions != 0].unique()
     numbers = (versions != 0).to(torch.int64) if len(policies) == 1 else versions
-    if len(policies) not in (1, len(known)):
+    if not len(known) or len(policies) not in (1, len(known)):
         raise UserError(
             f"--collected-by names {len(policies)} policies, and {data.name} was collected by "
             f"{len(known)}: name one for each policy_version above 0, or one for all"

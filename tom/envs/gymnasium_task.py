@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import chain
 from math import prod
+from numbers import Real
 from typing import Any
 
 import gymnasium as gym
@@ -174,6 +175,7 @@ def _inspect_env(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
         offset, scale, changed = _units(obs, np.array(usable))
     limit = None if env.spec is None else env.spec.max_episode_steps
     fps = env.metadata.get("render_fps")
+    dt = env.get_wrapper_attr("dt") if env.has_wrapper_attr("dt") else None
     return GymnasiumTask(
         name=name,
         gym_id=gym_id,
@@ -190,7 +192,7 @@ def _inspect_env(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
         action_high=tuple(action.high.tolist()),
         obs_offset=tuple(offset.tolist()),
         obs_scale=tuple(scale.tolist()),
-        dt=float(env.get_wrapper_attr("dt")) if env.has_wrapper_attr("dt") else 1 / (fps or 30),
+        dt=float(dt) if isinstance(dt, Real) else 1 / (fps or 30),  # any task may use that name
         rewards=tuple(tries[0][1][:REWARDS].tolist()) if repeats else (),
         notices=_notices(name, changed, repeats),
     )

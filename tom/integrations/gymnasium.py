@@ -24,6 +24,8 @@ class _Recorded:
     run: OwnRun
 
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+        if "reset_mask" not in (options.get("options") or {}):  # else of some environments
+            self.run.cut()
         self._obs, info = self.env.reset(**options)
         return self._obs, info
 

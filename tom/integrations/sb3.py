@@ -11,7 +11,6 @@ The library keeps both in pickles, which are code. Here they become numbers and 
 """
 
 from collections.abc import Sequence
-from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -87,13 +86,21 @@ class _Network(torch.nn.Module):
 
     def forward(self, obs: Tensor) -> Any:
         if hasattr(self.actor, "get_action_dist_params"):
-            return self.actor.get_action_dist_params(obs)[:2]
+            mean, log_std, of_state = self.actor.get_action_dist_params(obs)
+            if of_state:  # gSDE: the noise is a random linear map of the last layer
+                noise, latent = self.actor.action_dist, of_state["latent_sde"]
+                variance = latent.square() @ noise.get_std(log_std).square()
+                log_std = (variance + noise.epsilon).log() / 2
+            return mean, log_std
         return self.low + 0.5 * (self.actor(obs) + 1) * (self.high - self.low)
 
 
 def export_policy(model: Any, path: str | Path) -> None:
     """Write the policy of SAC, TD3 or DDPG as TorchScript."""
-    network = _Network(deepcopy(model.actor).cpu().eval(), model.action_space)
+    with torch.random.fork_rng(devices=[]):  # the training goes on with its own
+        actor = model.policy.make_actor()  # not a deepcopy, which gSDE's last noise forbids
+    actor.load_state_dict(model.actor.state_dict())
+    network = _Network(actor.cpu().eval(), model.action_space)
     example = torch.zeros(1, *model.observation_space.shape)
     torch.jit.trace_module(network, {"forward": example}).save(str(path))
 

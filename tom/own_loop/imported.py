@@ -27,8 +27,8 @@ RETURNS = (
     "train/return",
 )
 """metrics that become the return, the first that is there"""
-STEPS = ("Step", "_step", "global_step", "env_step", "step")
-"""columns of a CSV that count env steps"""
+STEPS = ("global_step", "env_step", "Step", "_step", "step")
+"""columns of a CSV that count env steps, the first that is there; W&B's own count its logs"""
 
 
 def import_metrics(
@@ -58,7 +58,8 @@ def import_metrics(
     named = {}
     for training, table in found.items():
         words = "-".join(filter(None, (name, training or ("" if name else path.stem))))
-        named[re.sub(r"[^A-Za-z0-9._-]", "-", words)[:95]] = table
+        run_id = re.sub(r"[^A-Za-z0-9._-]", "-", words)[:95]
+        named[f"{run_id}-{len(named) + 1}" if run_id in named else run_id] = table
     place, known = Store(Path(store)), resolve_task(env)
     if taken := [run_id for run_id in named if place.resolve(run_id).exists()]:
         raise UserError(f"run '{taken[0]}' exists already: choose another --name")

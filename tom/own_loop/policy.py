@@ -120,7 +120,11 @@ def _as_function(policy: Any) -> Callable[[Tensor], Any]:
     predict = getattr(policy, "predict", None)
     if not callable(policy) and predict is None:
         raise UserError("policy: give a function of observations, a torch module or SB3's model")
-    function = policy if predict is None else lambda obs: predict(obs, deterministic=False)[0]
+    function = policy
+    if predict is not None:
+        normalised = getattr(policy, "get_vec_normalize_env", lambda: None)()
+        seen = (lambda obs: obs) if normalised is None else normalised.normalize_obs
+        function = lambda obs: predict(seen(obs), deterministic=False)[0]  # noqa: E731
     return lambda obs: function(obs.numpy().astype(np.float32))
 
 
@@ -131,6 +135,8 @@ def _networks(model: Any) -> tuple[Layers, list[Layers], Any, Any] | None:
     """
     actor = getattr(model, "actor", None)
     if actor is None or not hasattr(model, "get_vec_normalize_env") or not hasattr(actor, "mu"):
+        return None
+    if type(actor.features_extractor).__name__ != "FlattenExtractor":  # a network before these
         return None
     if isinstance(actor.mu, nn.Linear):  # SAC
         layers = _layers([*getattr(actor, "latent_pi", ())])
@@ -146,7 +152,8 @@ def _networks(model: Any) -> tuple[Layers, list[Layers], Any, Any] | None:
         narrow = np.append(bias, np.full(len(bias), NARROW))
         layers[-1] = np.hstack((weight, np.zeros_like(weight))), narrow
     critics = [_layers([*net]) for net in getattr(model.critic, "q_networks", ())]
-    whole = [critic for critic in critics if critic]
+    # TQC's give many quantiles.
+    whole = [critic for critic in critics if critic and critic[-1][0].shape[1] == 1]
     normalised = model.get_vec_normalize_env()
     if normalised is None or not normalised.norm_obs:
         return layers, whole, 0.0, 1.0

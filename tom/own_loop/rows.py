@@ -111,13 +111,19 @@ class Rows:
         size = ceil(len(rows) / max(len(rows) // BLOCK, 1))
         return [(rows[i : i + size], numbers[i : i + size]) for i in range(0, len(rows), size)]
 
-    def cut(self) -> None:
-        """Complete every row: an episode that is not over is truncated."""
+    def cut(self) -> bool:
+        """Complete every row; an episode that is not over is truncated: whether there was one.
+
+        Of a single environment its last row is no longer here.
+        """
         for env, waiting in enumerate(self._waiting):
             if waiting:
                 (*_, terminated, truncated), _ = waiting[-1]
                 truncated[-1] |= not terminated[-1]
             self._complete(env)
+        running, self._ended = any(self._lengths), np.zeros(self.envs, bool)
+        self._returns, self._lengths = [0.0] * self.envs, [0] * self.envs
+        return running
 
     def in_record(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
         """The weights of the newest rows of the record, up to the oldest that has one.

@@ -179,6 +179,13 @@ class OwnRun:
             self._recorder.consume(Tick(max(self.step, self._step), "collect"))
 
     @_guarded
+    def cut(self) -> None:
+        """Truncate the episodes that are not over: all environments are reset."""
+        if self._rows.cut():
+            self._flush()
+            self._recorder.writer.cut()
+
+    @_guarded
     def metrics(self, step: int, values: Mapping[str, Any]) -> None:
         """Record numbers by name at env step `step`; steps never go back."""
         given = {

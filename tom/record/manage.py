@@ -19,8 +19,8 @@ from tom.record.reader import RunReader
 from tom.record.status import Labels, labels_of
 from tom.record.store import Store
 
-NAME_LENGTH, TAG_LENGTH, NOTE_LENGTH, MOST_TAGS = 80, 30, 4000, 20
-"""most characters of labels, and the most tags"""
+NAME_LENGTH, TAG_LENGTH, NOTE_LENGTH, MOST_TAGS = 100, 30, 4000, 20
+"""most characters of labels, and the most tags; every run id may be a name"""
 
 _TRASHED = re.compile(rf"({layout.RUN_ID.pattern})(?:~(\d+))?")  # "~" is in no run id
 

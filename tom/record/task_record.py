@@ -71,7 +71,9 @@ def _is_same(recorded: Any, now: Any) -> bool:
         return recorded == (list(now) if isinstance(now, tuple) else now)
     if not all(map(np.size, numbers)):
         return True  # a task that does not repeat itself has no rewards to compare
-    return numbers[0].shape == numbers[1].shape and np.allclose(*numbers, rtol=1e-3, atol=1e-6)
+    if numbers[0].shape != numbers[1].shape:
+        return False
+    return np.allclose(*numbers, rtol=1e-3, atol=1e-6, equal_nan=True)  # NaN stands for None
 
 
 def _shown(value: Any) -> str:

@@ -217,14 +217,20 @@ class RunWriter:
         if not len(new_rows.transitions):
             return
         new = decode.transition_arrays(new_rows)
+        if len(self._tail.get("policy_version", ())) >= SEGMENT_ROWS:
+            self._end_segment()
         name = self._tail_first
         if self._tail:
             new = {part: np.concatenate([self._tail[part], new[part]]) for part in new}
         self._tail = new
         self.arrays(layout.segment(name), new)
         self._unsynced.add(self.path / layout.segment(name))
-        if len(new["policy_version"]) >= SEGMENT_ROWS:
-            self._end_segment()
+
+    def cut(self) -> None:
+        """Truncate the last row's episode, unless it has ended."""
+        if self._tail:
+            self._tail["truncated"][-1] |= not self._tail["terminated"][-1]
+            self.arrays(layout.segment(self._tail_first), self._tail)
 
     def arrays(self, name: str, arrays: Mapping[str, NDArray], *, sync: bool = False) -> None:
         self._lock.check()

@@ -166,6 +166,7 @@ def test_a_training_notices_a_task_or_rule_that_is_wrong(words, expected, capsys
 def test_a_task_that_is_not_the_recorded_one_is_named(capsys):
     assert code_of([*TRAIN, "--env", LINE, "--steps", "300"]) == 0
     run = RunReader(Path("runs/run").absolute())
+    assert codes(load_data("run", Store(Path("runs")), LINE)) == []
     change(run.path / "config.json", task=run.config["task"] | {"rewards": [5.0] * 10})
     assert codes(load_data("run", Store(Path("runs")), LINE)) == ["task"]
     capsys.readouterr()

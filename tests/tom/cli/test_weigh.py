@@ -378,6 +378,9 @@ def test_policies_that_collected_the_data_come_from_a_list_or_from_columns(
     assert np.ptp(weights("--collected-by", policy)[version > 0]) < 1e-6
     refused(command(), capsys)
     refused(command("--collected-by", policy, policy, policy), capsys)
+    version[:] = 0  # nobody's
+    refused(command("--collected-by", policy), capsys)
+    version[-1] = 1
     of_rows["behaviour_mean"][N - 1] = np.nan
     refused(command(**of_rows), capsys)
 

@@ -238,6 +238,13 @@ def test_a_task_that_goes_wrong_later_is_one_line_that_names_the_step():
         env.step(np.zeros(2))
 
 
+def test_a_step_lasts_as_long_as_the_task_says_in_a_number():
+    for number, dt in enumerate((None, lambda self: 0.5, np.float32(0.5))):
+        kind = type("Timed", (Flat,), {"dt": dt, "metadata": {"render_fps": 10}})
+        gym.register(f"Timed-v{number}", kind)  # pyright: ignore[reportArgumentType]
+        assert describe(f"gymnasium:Timed-v{number}").dt == (0.1 if number < 2 else 0.5)
+
+
 def test_the_bounds_of_actions_are_taken_in_double_precision():
     env = named("Strict-v0").make(seed=0)
     for bound in (-1, 1):

@@ -14,6 +14,7 @@ from loops import Watched, loaded
 from ray.rllib.policy.sample_batch import SampleBatch
 from ray.rllib.utils.replay_buffers.prioritized_replay_buffer import PrioritizedReplayBuffer
 from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from tom.data.datasets import read_dataset
@@ -22,8 +23,10 @@ from tom.errors import UserError
 from tom.integrations.gymnasium import RecordEnv, RecordVectorEnv
 from tom.integrations.rllib import priorities
 from tom.integrations.sb3 import RecordCallback, export_buffer, export_policy
+from tom.own_loop.opening import known_task
+from tom.own_loop.policy import PolicyCopier
 from tom.own_loop.run import record
-from tom.policy.stored import read_policy
+from tom.policy.stored import StoredPolicy, read_policy
 
 
 def small(kind, env, **options):
@@ -96,6 +99,49 @@ def test_a_policy_of_ppo_is_learnt_from_its_answers(tmp_path: Path):
     assert float(run.metrics["policy/copy_error"].dropna().tolist()[-1]) < 0.2
 
 
+class Features(BaseFeaturesExtractor):
+    """As many features as a pendulum has observations."""
+
+    def __init__(self, space: gymnasium.Space) -> None:
+        super().__init__(space, 3)
+        self.net = torch.nn.Linear(3, 3)
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        return torch.tanh(self.net(observations))
+
+
+@pytest.mark.parametrize("kind", ["normalised", "features", "quantiles"])
+def test_a_model_of_another_form_is_kept_as_it_acts(kind: str):
+    env: Any = DummyVecEnv([pendulum])
+    if kind == "normalised":
+        env = VecNormalize(env)
+        env.obs_rms.mean, env.obs_rms.var = np.array([0, 0, 3.0]), np.array([0.5, 0.5, 16])
+        model = small(PPO, env, n_steps=64)
+    else:
+        model = small(SAC, env, buffer_size=10)
+    with torch.no_grad():
+        match kind:
+            case "normalised":
+                model.policy.action_net.weight *= 100
+                model.policy.log_std -= 3
+            case "features":
+                model.actor.features_extractor = Features(model.observation_space)
+                model.actor.mu.weight *= 30
+                model.actor.log_std.bias -= 4
+            case "quantiles":  # as of TQC's critics
+                wide = [torch.nn.Sequential(*net[:-1], torch.nn.Linear(8, 25))
+                        for net in model.critic.q_networks]  # fmt: skip
+                model.critic.q_networks = wide
+    angle, known = np.linspace(-3, 3, 1000), known_task("Pendulum-v1")
+    obs = np.stack((np.cos(angle), np.sin(angle), 6 * np.sin(7 * angle)), 1).astype(np.float32)
+    seen = known.unit_obs(obs)
+    kept = StoredPolicy(PolicyCopier(known).copy(model, seen)[0])
+    asked = env.normalize_obs(obs) if kind == "normalised" else obs
+    expected = model.predict(asked, deterministic=True)[0]
+    assert np.abs(2 * kept.mean(torch.from_numpy(seen)).numpy() - expected).mean() < 0.06
+    assert kept.value_gradient is None
+
+
 def test_an_environment_records_itself(tmp_path: Path):
     env = RecordEnv(RecordEpisodeStatistics(pendulum()), "mine", store=tmp_path)
     returns = []
@@ -110,6 +156,40 @@ def test_an_environment_records_itself(tmp_path: Path):
     run = loaded(tmp_path)
     np.testing.assert_allclose(run.metrics["train/return"].dropna(), returns, rtol=1e-5)
     assert run.transitions["truncated"].to_numpy().nonzero()[0].tolist() == [29, 59, 89]
+
+
+@pytest.mark.parametrize("flushed", [False, True])
+def test_a_reset_cuts_the_episode(flushed: bool, tmp_path: Path):
+    env = RecordEnv(pendulum(), "mine", store=tmp_path, strict=True)
+    for steps in (10, 5, 30):
+        env.reset(seed=0)
+        for _ in range(steps):
+            env.step(env.action_space.sample())
+        if flushed:  # the rows are in the record by then
+            env.run.weights(env.run.step, np.ones(env.run.step))
+    env.reset()
+    env.close()
+    run = loaded(tmp_path)
+    assert run.transitions["truncated"].to_numpy().nonzero()[0].tolist() == [9, 14, 44]
+    rewards = run.transitions["reward"].to_numpy()
+    np.testing.assert_allclose(
+        run.metrics["train/return"].dropna(), [rewards[15:].sum()], rtol=1e-5
+    )
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode)[:2])
+def test_a_reset_cuts_the_episodes_of_a_vector(mode: AutoresetMode, tmp_path: Path):
+    envs = gymnasium.make_vec(
+        "Pendulum-v1", num_envs=2, max_episode_steps=8, vector_kwargs={"autoreset_mode": mode}
+    )
+    envs = RecordVectorEnv(envs, "mine", store=tmp_path, strict=True)
+    for steps in (5, 8, 3):
+        envs.reset(seed=0)
+        for _ in range(steps):
+            envs.step(envs.action_space.sample())
+    envs.close()
+    truncated = loaded(tmp_path).transitions["truncated"].to_numpy()
+    assert truncated.nonzero()[0].tolist() == [4, 9, 17, 25, 28, 31]
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode)[:2])
@@ -208,11 +288,11 @@ def test_a_buffer_without_the_ends_of_episodes_is_refused(tmp_path: Path):
         export_buffer(model, tmp_path / "buffer.npz")
 
 
-@pytest.mark.parametrize("kind", [SAC, TD3])
-def test_an_exported_policy_is_the_models(kind, tmp_path: Path):
-    model = kind(
-        "MlpPolicy", gymnasium.make("Pendulum-v1"), seed=0, policy_kwargs={"net_arch": [8]}
-    )
+@pytest.mark.parametrize(("kind", "options"), [(SAC, {}), (SAC, {"use_sde": True}), (TD3, {})])
+def test_an_exported_policy_is_the_models(kind, options, tmp_path: Path):
+    policy = {"net_arch": [8]} | ({"log_std_init": -1.0} if options else {})
+    env = gymnasium.make("Pendulum-v1")
+    model = kind("MlpPolicy", env, seed=0, buffer_size=10, policy_kwargs=policy, **options)
     model.actor.train()
     export_policy(model, tmp_path / "policy.pt")
     assert model.actor.training  # the model goes on as it was
@@ -221,3 +301,9 @@ def test_an_exported_policy_is_the_models(kind, tmp_path: Path):
     action = 2 * torch.tanh(found[0]) if kind is SAC else found
     expected = model.predict(obs, deterministic=True)[0]
     np.testing.assert_allclose(action.detach(), expected, atol=1e-5)
+    if options:  # the spread of the state's own noise
+        torch.manual_seed(0)
+        own = model.policy.obs_to_tensor(np.repeat(obs[:1], 4000, 0))[0]
+        model.actor.reset_noise(4000)
+        drawn = torch.atanh(model.actor(own).detach().clamp(-0.9999, 0.9999))
+        np.testing.assert_allclose(drawn.std(), found[1][0].exp().detach(), rtol=0.1)

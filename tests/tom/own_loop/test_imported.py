@@ -53,6 +53,26 @@ def test_the_named_return_is_the_only_one(tmp_path: Path):
     assert run.reader.status.best_return == 2
 
 
+def test_env_steps_are_those_of_the_training_and_not_of_its_log(tmp_path: Path):
+    table = tmp_path / "history.csv"
+    columns = {"_step": [1, 2], "global_step": [4000, 8000], "eval/return": [1, 2]}
+    pd.DataFrame(columns).to_csv(table, index=False)
+    words = ["runs", "import", str(table), "--env", "Pendulum-v1", "--store", str(tmp_path / "r")]
+    assert code_of(words) == 0
+    run = loaded(tmp_path / "r", "history")
+    assert run.metrics["eval/return"].to_dict() == {4000: 1, 8000: 2}
+
+
+def test_runs_whose_names_become_the_same_are_all_imported(tmp_path: Path):
+    table, long = tmp_path / "export.csv", "hopper " * 14
+    columns = {f"{long} s{seed} - eval/return": [seed, 2 * seed] for seed in (1, 2, 3)}
+    pd.DataFrame({"Step": [1, 2], **columns}).to_csv(table, index=False)
+    words = ["runs", "import", str(table), "--env", "Pendulum-v1", "--store", str(tmp_path / "r")]
+    assert code_of(words) == 0
+    runs = [loaded(tmp_path / "r", path.name) for path in sorted((tmp_path / "r").iterdir())]
+    assert [run.metrics["eval/return"].tolist() for run in runs] == [[1, 2], [2, 4], [3, 6]]
+
+
 @pytest.mark.parametrize("name", ["events.csv", "events.tfevents"])
 def test_what_cannot_be_read_makes_no_run(name: str, tmp_path: Path, capsys):
     (tmp_path / name).write_bytes(b"neither events nor columns")

@@ -156,6 +156,12 @@ def test_policies_that_were_kept_stay_when_weights_follow(tmp_path: Path):
     assert loaded(run).reader.policy_steps() == [20, 40, 60]
 
 
+def test_any_run_id_is_also_its_name(tmp_path: Path):
+    with record("x" * 100, env="Pendulum-v1", store=tmp_path) as run:
+        pass
+    assert loaded(run).reader.labels.name == "x" * 100
+
+
 def test_what_is_cut_off_counts_as_no_best_return(tmp_path: Path):
     one = watched()
     with record("mine", env="Pendulum-v1", store=tmp_path) as run:
