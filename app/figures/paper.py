@@ -4,6 +4,7 @@ The browser sends what it shows (`app/parts/plot/plot.js`): traces with plain nu
 zoomed range, labels and lines.
 """
 
+import html
 import io
 import re
 from collections.abc import Mapping, Sequence
@@ -206,4 +207,5 @@ def _rgba(colour: str) -> tuple[float, float, float, float]:
 
 def _plain(words: str) -> str:
     """A label without its HTML and the mark of its colour."""
-    return re.sub(f"<[^>]*>|[{MARK}{HOLLOW_MARK}] ?", "", words.replace("<br>", "\n")).strip()
+    text = re.sub(f"<[^>]*>|[{MARK}{HOLLOW_MARK}] ?", "", words.replace("<br>", "\n"))
+    return html.unescape(text).strip()

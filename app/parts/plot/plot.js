@@ -107,9 +107,14 @@ const titled = (title) => (title?.text && !title.text.startsWith("Click to enter
 const drawnTraces = (plot) =>
   plot._fullData.filter(({ visible, type }) => visible === true && ["scatter", "scattergl", "bar", "heatmap"].includes(type));
 
+// A label of Plotly's, which is HTML, in plain words (app/text.py escapes it).
+const LETTERS = { amp: "&", lt: "<", gt: ">", quot: '"', "#x27": "'" };
+const plain = (label) => label.replace(/<[^>]*>/g, " ").replace(/&(amp|lt|gt|quot|#x27);/g, (_, name) => LETTERS[name]);
+
 // Every drawn number, one line each, with the name of its trace, its group and the group's preset; a
 // hollow line once.
 function csv(plot) {
+  const worded = (value) => (typeof value === "string" ? plain(value) : value);
   const quoted = (value) => (/[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : value);
   const { xaxis, yaxis } = plot._fullLayout;
   const { x: across, y: named, groups } = plot.layout.meta ?? {};
@@ -123,10 +128,10 @@ function csv(plot) {
     // A band goes along its upper edge, and back along the lower one.
     const edge = (i) => (trace.fill === "toself" ? (i < x.length / 2 ? ", high" : ", low") : "");
     const ends = (bars, at, i) => (bars?.array?.[i] || bars?.arrayminus?.[i] ? [at - bars.arrayminus[i], at + bars.array[i]] : ["", ""]);
-    const called = (i) => (Array.isArray(text) ? text[i].replace("<br>", ", ") : name + edge(i));
+    const called = (i) => (Array.isArray(text) ? text[i] : name + edge(i));
     return [...(x ?? [])].map((at, i) => [called(i), ...of, at, y[i], "", ...ends(trace.error_x, at, i), ...(both ? ends(trace.error_y, y[i], i) : [])]);
   });
-  return [head, ...rows].map((row) => row.map((value) => quoted(value ?? "")).join(",")).join("\n");
+  return [head, ...rows].map((row) => row.map((value) => quoted(worded(value ?? ""))).join(",")).join("\n");
 }
 
 // What a drawing for a paper needs, in plain numbers.

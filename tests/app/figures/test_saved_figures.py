@@ -3,11 +3,15 @@
 import io
 import json
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import plotly.graph_objects as go
 import pytest
 from hypothesis import given, settings
@@ -18,6 +22,8 @@ from PIL import Image
 from app import theme
 from app.figures.curves import GAP, Axes, group_curves, label_ends, looks_of, moved_apart
 from app.figures.paper import KINDS, SYMBOLS, WIDTHS, paper_figure
+from app.figures.statistics import improvement
+from app.parts import plot
 from tom.analysis.curves import Curve, Group, aggregate
 
 STEPS = np.arange(0, 50_000, 1000)
@@ -150,3 +156,43 @@ def test_a_legend_a_heatmap_bars_and_a_log_axis_are_drawn() -> None:
     drawn = paper_figure(shown, "two", "svg").decode()
     assert "#12ab34" in drawn
     assert "much" in drawn
+
+
+# As CSV
+
+NODE = """globalThis.window = { addEventListener() {} };
+%s
+const { data, layout } = %s;
+const usual = { visible: true, xaxis: "x", yaxis: "y" };
+const _fullData = data.map((trace, i) => ({ ...usual, name: `trace ${i}`, ...trace }));
+console.log(csv({ layout, _fullLayout: layout, _fullData }));"""
+
+
+def saved(figure: go.Figure) -> pd.DataFrame:
+    """The CSV that the page's script makes of a figure."""
+    if shutil.which("node") is None:
+        pytest.skip("needs Node.js")
+    traces: list[Any] = list(figure.data)
+    shown = {
+        "data": [trace.to_plotly_json() for trace in traces],
+        "layout": figure.to_dict()["layout"] | {"template": None},
+    }
+    script = (Path(plot.__file__).with_name("plot.js")).read_text()
+    program = NODE % (
+        script.replace("export default", "const part ="),
+        json.dumps(shown, default=lambda numbers: numbers.tolist()),
+    )
+    words = subprocess.run(["node", "-"], input=program, capture_output=True, check=True, text=True)
+    return pd.read_csv(io.StringIO(words.stdout))
+
+
+def test_a_name_is_saved_as_it_is_read() -> None:
+    pair = {"first": "A", "second": "B", "p": 0.1, "p corrected": 0.1}
+    pairs = pd.DataFrame([pair | {"probability": 0.8, "low": 0.5, "high": 0.9}])
+    figure = improvement(pairs, ["#12ab34"], 200, "")
+    assert saved(figure)["line"][0].startswith("A > B")
+    shown = message(GROUPS, annotations=[])
+    shown["axes"]["xy"]["y"] |= {
+        "tickvals": [0], "ticktext": figure.to_dict()["layout"]["yaxis"]["ticktext"],
+    }  # fmt: skip
+    assert ">A &gt; B<" in paper_figure(shown, "one", "svg").decode()
