@@ -111,19 +111,31 @@ const drawnTraces = (plot) =>
 const LETTERS = { amp: "&", lt: "<", gt: ">", quot: '"', "#x27": "'" };
 const plain = (label) => label.replace(/<[^>]*>/g, " ").replace(/&(amp|lt|gt|quot|#x27);/g, (_, name) => LETTERS[name]);
 
+// The title of an axis, or of one that goes with it: panels that share an axis have its title once.
+function titleOf({ layout }, id) {
+  const axes = Object.entries(layout).filter(([name]) => name.startsWith(`${id[0]}axis`));
+  const group = ([name, axis]) => axis.matches ?? name.replace("axis", "");
+  const own = axes.find(([name]) => name.replace("axis", "") === id);
+  const alike = own ? [own, ...axes.filter((one) => group(one) === group(own))] : [];
+  return alike.map(([, { title }]) => titled(title)).find(Boolean) ?? "";
+}
+
 // Every drawn number, one line each, with the name of its trace, its group and the group's preset; a
 // hollow line once.
 function csv(plot) {
   const worded = (value) => (typeof value === "string" ? plain(value) : value);
   const quoted = (value) => (/[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : value);
-  const { xaxis, yaxis } = plot._fullLayout;
-  const { x: across, y: named, groups } = plot.layout.meta ?? {};
-  const axes = [across || titled(xaxis?.title) || "x", titled(yaxis?.title) || named || "y"];
-  const both = drawnTraces(plot).some(({ error_y }) => error_y?.array);
-  const head = ["line", "group", "preset", ...axes, "value", "low", "high", ...(both ? [`${axes[1]}, low`, `${axes[1]}, high`] : [])];
-  const rows = drawnTraces(plot).filter(({ name }) => name !== "core").flatMap((trace) => {
+  const { y: named, groups } = plot.layout.meta ?? {};
+  const drawn = drawnTraces(plot).filter(({ name }) => name !== "core");
+  const titles = drawn.map(({ xaxis, yaxis }) => [titleOf(plot, xaxis) || "x", titleOf(plot, yaxis) || named || "y"]);
+  // Where panels have unlike axes, each line says what its numbers are.
+  const unlike = new Set(titles.map(String)).size > 1;
+  const axes = unlike ? ["x", "y"] : (titles[0] ?? ["x", "y"]);
+  const both = drawn.some(({ error_y }) => error_y?.array);
+  const head = ["line", "group", "preset", ...(unlike ? ["x is", "y is"] : []), ...axes, "value", "low", "high", ...(both ? [`${axes[1]}, low`, `${axes[1]}, high`] : [])];
+  const rows = drawn.flatMap((trace, t) => {
     const { name, x, y, z, customdata, text } = trace;
-    const of = groups?.[trace.legendgroup] ?? ["", ""];
+    const of = [...(groups?.[trace.legendgroup] ?? ["", ""]), ...(unlike ? titles[t] : [])];
     if (z) return [...(customdata ?? z)].flatMap((row, j) => [...row].map((value, i) => [name, ...of, x[i], y[j], value, "", ""]));
     // A band goes along its upper edge, and back along the lower one.
     const edge = (i) => (trace.fill === "toself" ? (i < x.length / 2 ? ", high" : ", low") : "");

@@ -20,11 +20,15 @@ from matplotlib.markers import MarkerStyle
 from PIL import Image
 
 from app import theme
+from app.data.exams import Exams
 from app.figures.curves import GAP, Axes, group_curves, label_ends, looks_of, moved_apart
+from app.figures.exams import footprint_error_return
 from app.figures.paper import KINDS, SYMBOLS, WIDTHS, paper_figure
 from app.figures.statistics import improvement
+from app.figures.weights import over_fits
 from app.parts import plot
 from tom.analysis.curves import Curve, Group, aggregate
+from tom.record.decode import Profiles
 
 STEPS = np.arange(0, 50_000, 1000)
 
@@ -116,6 +120,7 @@ def message(groups: list[Group], **changed: Any) -> dict[str, Any]:
     return json.loads(json.dumps(whole | changed))
 
 
+CURVE, RETURNS = Curve("r", "hopper", "tom", "paper", 0, STEPS[1:2], STEPS[1:2]), {"a": 7, "b": 9}
 GROUPS = [group("tom", 90), group("mle", 88), group("pmac", 20, runs=1)]
 
 
@@ -196,3 +201,16 @@ def test_a_name_is_saved_as_it_is_read() -> None:
         "tickvals": [0], "ticktext": figure.to_dict()["layout"]["yaxis"]["ticktext"],
     }  # fmt: skip
     assert ">A &gt; B<" in paper_figure(shown, "one", "svg").decode()
+
+
+def test_each_panel_s_numbers_are_saved_under_its_own_axes() -> None:
+    one = np.ones(1)
+    exams = Exams("r", "tom", 0, "g", np.array([100]), one, one, 0.5 * one, 0.1 * one, 20 * one)
+    rows = saved(footprint_error_return([exams], 300)).dropna(subset="x").set_index("x is")["x"]
+    assert rows.filter(like="footprint").tolist() == [0.5]
+    assert rows.filter(like="return").tolist() == [20]
+    at, bins = np.array([100]), np.ones((1, 2))
+    profiles = Profiles(at, bins, at, one, one, at)
+    parts = [(name, replace(CURVE, value=value * one), profiles) for name, value in RETURNS.items()]
+    rows = saved(over_fits(parts, "light", 300)).set_index("y is").loc["return"]
+    assert dict(zip(rows["line"], rows["y"], strict=True)) == {"a return": 7, "b return": 9}
