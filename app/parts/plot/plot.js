@@ -167,7 +167,7 @@ function shown(plot) {
       marks: Array.isArray(t.marker?.symbol) ? t.marker.symbol.map((symbol, i) => [symbol, t.marker.color[i]]) : null,
       bars: reach(t.error_x), upright: reach(t.error_y),
       colorscale: t.colorscale ?? null, zmin: t.zmin ?? null, zmax: t.zmax ?? null,
-      ticks: t.colorbar?.tickvals ? { tickvals: [...t.colorbar.tickvals], ticktext: [...(t.colorbar.ticktext ?? t.colorbar.tickvals)] } : null,
+      ticks: t.showscale && t.colorbar?.tickvals ? { tickvals: [...t.colorbar.tickvals], ticktext: [...(t.colorbar.ticktext ?? t.colorbar.tickvals)] } : null,
     };
   });
   const annotations = (full.annotations ?? []).map(({ text, x, y, xref, yref }) => ({ text, x, y, xref, yref }));

@@ -214,3 +214,24 @@ def test_each_panel_s_numbers_are_saved_under_its_own_axes() -> None:
     parts = [(name, replace(CURVE, value=value * one), profiles) for name, value in RETURNS.items()]
     rows = saved(over_fits(parts, "light", 300)).set_index("y is").loc["return"]
     assert dict(zip(rows["line"], rows["y"], strict=True)) == {"a return": 7, "b return": 9}
+
+
+def test_columns_have_their_names_and_one_scale_in_a_paper_s_figure() -> None:
+    shown = message(GROUPS, annotations=[])
+    heat = {"type": "heatmap", "x": [1, 2], "y": [0.5, 1.5], "z": [[1, 2], [3, 4]], "zmin": 0,
+            "zmax": 4, "colorscale": [[0, "#ffffff"], [1, "#8c2304"]]}  # fmt: skip
+    ticks = {"tickvals": [0, 4], "ticktext": ["none", "much"]}
+    left, right = shown["axes"]["xy"], json.loads(json.dumps(shown["axes"]["xy"]))
+    left["x"]["domain"], right["x"]["domain"] = [0, 0.49], [0.51, 1]
+    shown["traces"] = [
+        shown["traces"][0] | heat | {"axes": axes, "ticks": of}
+        for axes, of in (("xy", None), ("x2y2", ticks))
+    ]
+    shown["axes"] = {"xy": left, "x2y2": right}
+    at_top = {"xref": "paper", "yref": "paper", "y": 0.9999999}
+    shown["annotations"] = [
+        at_top | {"text": text, "x": x} for text, x in (("TOM", 0.2), ("MLE", 0.8))
+    ]
+    words = re.findall(r"<text[^>]*>([^<]+)</text>", paper_figure(shown, "two", "svg").decode())
+    assert sorted(w for w in words if w in ("TOM", "MLE", "much")) == ["MLE", "TOM", "much"]
+    assert words.count("100") == 1
