@@ -4,6 +4,7 @@ The browser sends what it shows (`app/parts/plot/plot.js`): traces with plain nu
 zoomed range, labels and lines.
 """
 
+import html
 import io
 import re
 from collections.abc import Mapping, Sequence
@@ -66,6 +67,12 @@ def paper_figure(shown: Mapping[str, Any], width: str, kind: str) -> bytes:
             across, at = (on.axhline, shape["y0"]) if flat else (on.axvline, shape["x0"])
             across(at, color=NEUTRAL, linewidth=0.6, linestyle=DASHES.get(shape["dash"], "-"))
         _labels(first, labels, 72 * (height - 0.5 - top))
+        for name, pair in shown["axes"].items():
+            (left, right), over = pair["x"]["domain"], pair["y"]["domain"][1]
+            for one in shown["annotations"]:  # names of columns
+                at_top = one["yref"] == "paper" and min(one["y"], over) > 0.99
+                if at_top and left < one["x"] < right:
+                    axes[name].set_title(_plain(one["text"]), fontsize=TEXT)
         _fit(figure, axes, shown["axes"], top)
         if keyed:
             pairs = zip(shown["traces"], drawn, strict=True)
@@ -117,6 +124,8 @@ def _axes(figure: Figure, pair: Mapping[str, Any], inches: float) -> Axes:
     if y["domain"][0] > 0.01:  # another one is below it, on the same x axis
         axes.tick_params(labelbottom=False)
         axes.set_xlabel("")
+    if x["domain"][0] > 0.01:  # another one is left of it, on the same y axis
+        axes.tick_params(labelleft=False)
     axes.grid(axis="y", linewidth=0.3, alpha=0.5)
     return axes
 
@@ -132,9 +141,9 @@ def _trace(axes: Axes, trace: Mapping[str, Any]) -> Any:
             cmap=LinearSegmentedColormap.from_list("page", stops),
             vmin=trace["zmin"], vmax=trace["zmax"],
         )  # fmt: skip
-        beside = axes.inset_axes((1.02, 0, 0.03, 1))
-        bar = axes.figure.colorbar(drawn, cax=beside)
-        if trace["ticks"]:
+        if trace["ticks"]:  # of several alike one has the scale
+            beside = axes.inset_axes((1.02, 0, 0.03, 1))
+            bar = axes.figure.colorbar(drawn, cax=beside)
             bar.set_ticks(trace["ticks"]["tickvals"], labels=trace["ticks"]["ticktext"])
         return drawn
     if trace["type"] == "bar":
@@ -206,4 +215,5 @@ def _rgba(colour: str) -> tuple[float, float, float, float]:
 
 def _plain_text(label: str) -> str:
     """A label without its HTML and the mark of its colour."""
-    return re.sub(f"<[^>]*>|[{MARK}{HOLLOW_MARK}] ?", "", label.replace("<br>", "\n")).strip()
+    text = re.sub(f"<[^>]*>|[{MARK}{HOLLOW_MARK}] ?", "", label.replace("<br>", "\n"))
+    return html.unescape(text).strip()

@@ -131,7 +131,6 @@ def two_axes(panels: Sequence[Panel], height: int, keep: str) -> go.Figure:
     level = {"color": NEUTRAL, "width": 1.2, "dash": "dash"}
     figure.add_vline(1, line=level)
     figure.add_hline(1, line=level)
-    figure.update_layout(meta={"x": "distance to the policy"})
     few, more = ({"tickvals": at, "ticktext": [f"{x:g}" for x in at]} for at in (FEW, MORE))
     log = {"type": "log", "tickangle": 0}
     figure.update_xaxes(log | few | {"matches": "x", "showgrid": True}).update_yaxes(log | more)

@@ -160,7 +160,7 @@ def over_fits(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
     for column, (title, (_, curve, profiles)) in enumerate(zip(titles, parts, strict=True), 1):
         if len(profiles.env_step):
             heat, thinned = _heatmap(profiles, scale | {"showscale": column == last})
-            figure.add_trace(heat, 1, column)
+            figure.add_trace(heat.update(name=f"{title} weight".strip()), 1, column)
             some += [f"{title}: {fits}".removeprefix(": ") for fits in thinned]
         else:
             # Without a trace Plotly makes no axes there, and draws the words on the first ones.
@@ -168,7 +168,7 @@ def over_fits(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
             middle = {"x": 0.5, "y": 0.5, "showarrow": False, "opacity": 0.75}
             place = {f"{of}ref": f"{of}{'' if column == 1 else column} domain" for of in "xy"}
             figure.add_annotation(text="no weights recorded", **place, **middle)
-        returns, thinned = return_line(curve)
+        returns, thinned = return_line(curve, name=f"{title} return".strip())
         figure.add_trace(returns, 2, column)
         words = thinned or words
     lines = max(name.count("<br>") for name in above)

@@ -107,26 +107,43 @@ const titled = (title) => (title?.text && !title.text.startsWith("Click to enter
 const drawnTraces = (plot) =>
   plot._fullData.filter(({ visible, type }) => visible === true && ["scatter", "scattergl", "bar", "heatmap"].includes(type));
 
+// A label of Plotly's, which is HTML, in plain words (app/text.py escapes it).
+const LETTERS = { amp: "&", lt: "<", gt: ">", quot: '"', "#x27": "'" };
+const plain = (label) => label.replace(/<[^>]*>/g, " ").replace(/&(amp|lt|gt|quot|#x27);/g, (_, name) => LETTERS[name]);
+
+// The title of an axis, or of one that goes with it: panels that share an axis have its title once.
+function titleOf({ layout }, id) {
+  const axes = Object.entries(layout).filter(([name]) => name.startsWith(`${id[0]}axis`));
+  const group = ([name, axis]) => axis.matches ?? name.replace("axis", "");
+  const own = axes.find(([name]) => name.replace("axis", "") === id);
+  const alike = own ? [own, ...axes.filter((one) => group(one) === group(own))] : [];
+  return alike.map(([, { title }]) => titled(title)).find(Boolean) ?? "";
+}
+
 // Every drawn number, one line each, with the name of its trace, its group and the group's preset; a
 // hollow line once.
 function csv(plot) {
+  const worded = (value) => (typeof value === "string" ? plain(value) : value);
   const quoted = (value) => (/[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : value);
-  const { xaxis, yaxis } = plot._fullLayout;
-  const { x: across, y: named, groups } = plot.layout.meta ?? {};
-  const axes = [across || titled(xaxis?.title) || "x", titled(yaxis?.title) || named || "y"];
-  const both = drawnTraces(plot).some(({ error_y }) => error_y?.array);
-  const head = ["line", "group", "preset", ...axes, "value", "low", "high", ...(both ? [`${axes[1]}, low`, `${axes[1]}, high`] : [])];
-  const rows = drawnTraces(plot).filter(({ name }) => name !== "core").flatMap((trace) => {
+  const { y: named, groups } = plot.layout.meta ?? {};
+  const drawn = drawnTraces(plot).filter(({ name }) => name !== "core");
+  const titles = drawn.map(({ xaxis, yaxis }) => [titleOf(plot, xaxis) || "x", titleOf(plot, yaxis) || named || "y"]);
+  // Where panels have unlike axes, each line says what its numbers are.
+  const unlike = new Set(titles.map(String)).size > 1;
+  const axes = unlike ? ["x", "y"] : (titles[0] ?? ["x", "y"]);
+  const both = drawn.some(({ error_y }) => error_y?.array);
+  const head = ["line", "group", "preset", ...(unlike ? ["x is", "y is"] : []), ...axes, "value", "low", "high", ...(both ? [`${axes[1]}, low`, `${axes[1]}, high`] : [])];
+  const rows = drawn.flatMap((trace, t) => {
     const { name, x, y, z, customdata, text } = trace;
-    const of = groups?.[trace.legendgroup] ?? ["", ""];
+    const of = [...(groups?.[trace.legendgroup] ?? ["", ""]), ...(unlike ? titles[t] : [])];
     if (z) return [...(customdata ?? z)].flatMap((row, j) => [...row].map((value, i) => [name, ...of, x[i], y[j], value, "", ""]));
     // A band goes along its upper edge, and back along the lower one.
     const edge = (i) => (trace.fill === "toself" ? (i < x.length / 2 ? ", high" : ", low") : "");
     const ends = (bars, at, i) => (bars?.array?.[i] || bars?.arrayminus?.[i] ? [at - bars.arrayminus[i], at + bars.array[i]] : ["", ""]);
-    const called = (i) => (Array.isArray(text) ? text[i].replace("<br>", ", ") : name + edge(i));
+    const called = (i) => (Array.isArray(text) ? text[i] : name + edge(i));
     return [...(x ?? [])].map((at, i) => [called(i), ...of, at, y[i], "", ...ends(trace.error_x, at, i), ...(both ? ends(trace.error_y, y[i], i) : [])]);
   });
-  return [head, ...rows].map((row) => row.map((value) => quoted(value ?? "")).join(",")).join("\n");
+  return [head, ...rows].map((row) => row.map((value) => quoted(worded(value ?? ""))).join(",")).join("\n");
 }
 
 // What a drawing for a paper needs, in plain numbers.
@@ -150,7 +167,7 @@ function shown(plot) {
       marks: Array.isArray(t.marker?.symbol) ? t.marker.symbol.map((symbol, i) => [symbol, t.marker.color[i]]) : null,
       bars: reach(t.error_x), upright: reach(t.error_y),
       colorscale: t.colorscale ?? null, zmin: t.zmin ?? null, zmax: t.zmax ?? null,
-      ticks: t.colorbar?.tickvals ? { tickvals: [...t.colorbar.tickvals], ticktext: [...(t.colorbar.ticktext ?? t.colorbar.tickvals)] } : null,
+      ticks: t.showscale && t.colorbar?.tickvals ? { tickvals: [...t.colorbar.tickvals], ticktext: [...(t.colorbar.ticktext ?? t.colorbar.tickvals)] } : null,
     };
   });
   const annotations = (full.annotations ?? []).map(({ text, x, y, xref, yref }) => ({ text, x, y, xref, yref }));

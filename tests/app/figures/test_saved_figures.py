@@ -3,11 +3,15 @@
 import io
 import json
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import plotly.graph_objects as go
 import pytest
 from hypothesis import given, settings
@@ -16,9 +20,15 @@ from matplotlib.markers import MarkerStyle
 from PIL import Image
 
 from app import theme
+from app.data.exams import Exams
 from app.figures.curves import GAP, Axes, group_curves, label_ends, spread_apart, styles_of
+from app.figures.exams import footprint_error_return
 from app.figures.paper import KINDS, SYMBOLS, WIDTHS, paper_figure
+from app.figures.statistics import improvement
+from app.figures.weights import over_fits
+from app.parts import plot
 from tom.analysis.curves import Curve, Group, aggregate
+from tom.record.decode import Profiles
 
 STEPS = np.arange(0, 50_000, 1000)
 
@@ -46,7 +56,7 @@ def labels(figure: go.Figure) -> list[dict[str, Any]]:
 
 @settings(deadline=None)
 @given(st.lists(st.floats(0, 300), min_size=1, max_size=8), st.floats(1, 20))
-def test_places_are_moved_apart_and_keep_their_order(places: list[float], gap: float) -> None:
+def test_places_are_spread_apart_and_keep_their_order(places: list[float], gap: float) -> None:
     before = np.array(places)
     after = spread_apart(before, gap)
     assert (np.diff(after[np.argsort(before, kind="stable")]) > 0.95 * gap).all()
@@ -110,6 +120,7 @@ def message(groups: list[Group], **changed: Any) -> dict[str, Any]:
     return json.loads(json.dumps(whole | changed))
 
 
+CURVE, RETURNS = Curve("r", "hopper", "tom", "paper", 0, STEPS[1:2], STEPS[1:2]), {"a": 7, "b": 9}
 GROUPS = [group("tom", 90), group("mle", 88), group("pmac", 20, runs=1)]
 
 
@@ -150,3 +161,77 @@ def test_a_legend_a_heatmap_bars_and_a_log_axis_are_drawn() -> None:
     drawn = paper_figure(shown, "two", "svg").decode()
     assert "#12ab34" in drawn
     assert "much" in drawn
+
+
+# As CSV
+
+NODE = """globalThis.window = { addEventListener() {} };
+%s
+const { data, layout } = %s;
+const usual = { visible: true, xaxis: "x", yaxis: "y" };
+const _fullData = data.map((trace, i) => ({ ...usual, name: `trace ${i}`, ...trace }));
+console.log(csv({ layout, _fullLayout: layout, _fullData }));"""
+
+
+def saved(figure: go.Figure) -> pd.DataFrame:
+    """The CSV that the page's script makes of a figure."""
+    if shutil.which("node") is None:
+        pytest.skip("needs Node.js")
+    traces: list[Any] = list(figure.data)
+    shown = {
+        "data": [trace.to_plotly_json() for trace in traces],
+        "layout": figure.to_dict()["layout"] | {"template": None},
+    }
+    script = (Path(plot.__file__).with_name("plot.js")).read_text()
+    program = NODE % (
+        script.replace("export default", "const part ="),
+        json.dumps(shown, default=lambda numbers: numbers.tolist()),
+    )
+    words = subprocess.run(["node", "-"], input=program, capture_output=True, check=True, text=True)
+    return pd.read_csv(io.StringIO(words.stdout))
+
+
+def test_a_name_is_saved_as_it_is_read() -> None:
+    pair = {"first": "A", "second": "B", "p": 0.1, "p corrected": 0.1}
+    pairs = pd.DataFrame([pair | {"probability": 0.8, "low": 0.5, "high": 0.9}])
+    figure = improvement(pairs, ["#12ab34"], 200, "")
+    assert saved(figure)["line"][0].startswith("A > B")
+    shown = message(GROUPS, annotations=[])
+    shown["axes"]["xy"]["y"] |= {
+        "tickvals": [0], "ticktext": figure.to_dict()["layout"]["yaxis"]["ticktext"],
+    }  # fmt: skip
+    assert ">A &gt; B<" in paper_figure(shown, "one", "svg").decode()
+
+
+def test_each_panel_s_numbers_are_saved_under_its_own_axes() -> None:
+    one = np.ones(1)
+    exams = Exams("r", "tom", 0, "g", np.array([100]), one, one, 0.5 * one, 0.1 * one, 20 * one)
+    rows = saved(footprint_error_return([exams], 300)).dropna(subset="x").set_index("x is")["x"]
+    assert rows.filter(like="footprint").tolist() == [0.5]
+    assert rows.filter(like="return").tolist() == [20]
+    at, bins = np.array([100]), np.ones((1, 2))
+    profiles = Profiles(at, bins, at, one, one, at)
+    parts = [(name, replace(CURVE, value=value * one), profiles) for name, value in RETURNS.items()]
+    rows = saved(over_fits(parts, "light", 300)).set_index("y is").loc["return"]
+    assert dict(zip(rows["line"], rows["y"], strict=True)) == {"a return": 7, "b return": 9}
+
+
+def test_columns_have_their_names_and_one_scale_in_a_paper_s_figure() -> None:
+    shown = message(GROUPS, annotations=[])
+    heat = {"type": "heatmap", "x": [1, 2], "y": [0.5, 1.5], "z": [[1, 2], [3, 4]], "zmin": 0,
+            "zmax": 4, "colorscale": [[0, "#ffffff"], [1, "#8c2304"]]}  # fmt: skip
+    ticks = {"tickvals": [0, 4], "ticktext": ["none", "much"]}
+    left, right = shown["axes"]["xy"], json.loads(json.dumps(shown["axes"]["xy"]))
+    left["x"]["domain"], right["x"]["domain"] = [0, 0.49], [0.51, 1]
+    shown["traces"] = [
+        shown["traces"][0] | heat | {"axes": axes, "ticks": of}
+        for axes, of in (("xy", None), ("x2y2", ticks))
+    ]
+    shown["axes"] = {"xy": left, "x2y2": right}
+    at_top = {"xref": "paper", "yref": "paper", "y": 0.9999999}
+    shown["annotations"] = [
+        at_top | {"text": text, "x": x} for text, x in (("TOM", 0.2), ("MLE", 0.8))
+    ]
+    words = re.findall(r"<text[^>]*>([^<]+)</text>", paper_figure(shown, "two", "svg").decode())
+    assert sorted(w for w in words if w in ("TOM", "MLE", "much")) == ["MLE", "TOM", "much"]
+    assert words.count("100") == 1
