@@ -72,7 +72,7 @@ def paper_figure(shown: Mapping[str, Any], width: str, kind: str) -> bytes:
             for one in shown["annotations"]:  # names of columns
                 at_top = one["yref"] == "paper" and min(one["y"], over) > 0.99
                 if at_top and left < one["x"] < right:
-                    axes[name].set_title(_plain(one["text"]), fontsize=TEXT)
+                    axes[name].set_title(_plain_text(one["text"]), fontsize=TEXT)
         _fit(figure, axes, shown["axes"], top)
         if keyed:
             pairs = zip(shown["traces"], drawn, strict=True)

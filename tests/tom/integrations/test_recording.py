@@ -23,7 +23,7 @@ from tom.errors import UserError
 from tom.integrations.gymnasium import RecordEnv, RecordVectorEnv
 from tom.integrations.rllib import priorities
 from tom.integrations.sb3 import RecordCallback, export_buffer, export_policy
-from tom.own_loop.opening import known_task
+from tom.own_loop.opening import resolve_task
 from tom.own_loop.policy import PolicyCopier
 from tom.own_loop.run import record
 from tom.policy.stored import StoredPolicy, read_policy
@@ -113,6 +113,7 @@ class Features(BaseFeaturesExtractor):
 @pytest.mark.parametrize("kind", ["normalised", "features", "quantiles"])
 def test_a_model_of_another_form_is_kept_as_it_acts(kind: str):
     env: Any = DummyVecEnv([pendulum])
+    model: Any
     if kind == "normalised":
         env = VecNormalize(env)
         env.obs_rms.mean, env.obs_rms.var = np.array([0, 0, 3.0]), np.array([0.5, 0.5, 16])
@@ -132,7 +133,7 @@ def test_a_model_of_another_form_is_kept_as_it_acts(kind: str):
                 wide = [torch.nn.Sequential(*net[:-1], torch.nn.Linear(8, 25))
                         for net in model.critic.q_networks]  # fmt: skip
                 model.critic.q_networks = wide
-    angle, known = np.linspace(-3, 3, 1000), known_task("Pendulum-v1")
+    angle, known = np.linspace(-3, 3, 1000), resolve_task("Pendulum-v1")
     obs = np.stack((np.cos(angle), np.sin(angle), 6 * np.sin(7 * angle)), 1).astype(np.float32)
     seen = known.unit_obs(obs)
     kept = StoredPolicy(PolicyCopier(known).copy(model, seen)[0])
