@@ -10,8 +10,8 @@ from app.parts import address
 address.enter_page("page")
 first = address.choose_one(st.selectbox, "First", ["a", "b"], "first", "a", str.upper)
 if first == "b":
-    address.choose_many("Then", ["x", "y", "z"], "then", usual=["x"])
-address.switch("On", "on", usual=True)
+    address.choose_many("Then", ["x", "y", "z"], "then", default=["x"])
+address.switch("On", "on", default=True)
 address.text_input("Words", "words")
 st.session_state["seen"] = address.value_of("own", list)
 address.write("own", st.session_state["own"])
