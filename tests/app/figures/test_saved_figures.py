@@ -3,11 +3,8 @@
 import io
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.markers import MarkerStyle
 from PIL import Image
+from studio_pages import saved
 
 from app import theme
 from app.data.exams import Exams
@@ -26,7 +24,6 @@ from app.figures.exams import footprint_error_return
 from app.figures.paper import KINDS, SYMBOLS, WIDTHS, paper_figure
 from app.figures.statistics import improvement
 from app.figures.weights import over_fits
-from app.parts import plot
 from tom.analysis.curves import Curve, Group, aggregate
 from tom.record.decode import Profiles
 
@@ -164,31 +161,6 @@ def test_a_legend_a_heatmap_bars_and_a_log_axis_are_drawn() -> None:
 
 
 # As CSV
-
-NODE = """globalThis.window = { addEventListener() {} };
-%s
-const { data, layout } = %s;
-const usual = { visible: true, xaxis: "x", yaxis: "y" };
-const _fullData = data.map((trace, i) => ({ ...usual, name: `trace ${i}`, ...trace }));
-console.log(csv({ layout, _fullLayout: layout, _fullData }));"""
-
-
-def saved(figure: go.Figure) -> pd.DataFrame:
-    """The CSV that the page's script makes of a figure."""
-    if shutil.which("node") is None:
-        pytest.skip("needs Node.js")
-    traces: list[Any] = list(figure.data)
-    shown = {
-        "data": [trace.to_plotly_json() for trace in traces],
-        "layout": figure.to_dict()["layout"] | {"template": None},
-    }
-    script = (Path(plot.__file__).with_name("plot.js")).read_text()
-    program = NODE % (
-        script.replace("export default", "const part ="),
-        json.dumps(shown, default=lambda numbers: numbers.tolist()),
-    )
-    words = subprocess.run(["node", "-"], input=program, capture_output=True, check=True, text=True)
-    return pd.read_csv(io.StringIO(words.stdout))
 
 
 def test_a_name_is_saved_as_it_is_read() -> None:
