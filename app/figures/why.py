@@ -64,7 +64,8 @@ def waterfall(parts: Sum, learner: str, height: int) -> go.Figure:
     figure = go.Figure(
         go.Waterfall(
             x=[*names, "sum", "weight"],
-            y=[*(value for _, _, value in bars), 0, parts.weight],
+            y=[*(value for _, _, value in bars), parts.argument, parts.weight],
+            name="the sum",
             measure=["relative"] * len(bars) + ["total", "absolute"],
             text=[f"{v:+.3g}" for _, _, v in bars]
             + [readable.short(parts.argument), readable.short(parts.weight)],

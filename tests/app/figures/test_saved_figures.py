@@ -24,7 +24,9 @@ from app.figures.exams import footprint_error_return
 from app.figures.paper import KINDS, SYMBOLS, WIDTHS, paper_figure
 from app.figures.statistics import improvement
 from app.figures.weights import over_fits
+from app.figures.why import waterfall
 from tom.analysis.curves import Curve, Group, aggregate
+from tom.analysis.why import Sum
 from tom.record.decode import Profiles
 
 STEPS = np.arange(0, 50_000, 1000)
@@ -207,3 +209,17 @@ def test_columns_have_their_names_and_one_scale_in_a_paper_s_figure() -> None:
     words = re.findall(r"<text[^>]*>([^<]+)</text>", paper_figure(shown, "two", "svg").decode())
     assert sorted(w for w in words if w in ("TOM", "MLE", "much")) == ["MLE", "TOM", "much"]
     assert words.count("100") == 1
+
+
+def test_a_weight_s_sum_is_saved() -> None:
+    rows = saved(waterfall(Sum(1.0, 0.5, 0.0, 0.7, 0.0, 1.8, 0.9, 2.0), "tom", 300))
+    assert rows["x"].tolist() == ["r", "+ g E Q(s', a')", "- Q(s, a)", "sum", "weight"]
+    assert rows["y"].tolist() == pytest.approx([1, 0.5, -0.7, 0.8, 2])
+    shown, sizes = message(GROUPS, annotations=[]), rows["y"].tolist()
+    of = {"type": "waterfall", "x": [*range(5)], "y": sizes,
+          "measure": ["relative"] * 3 + ["total", "absolute"],
+          "tints": ["#111111", "#222222", "#333333"]}  # fmt: skip
+    shown["traces"] = [shown["traces"][0] | of]
+    shown["axes"]["xy"]["y"]["range"] = [0, 2]
+    drawn = paper_figure(shown, "one", "svg").decode()
+    assert [drawn.count(tint) for tint in of["tints"]] == [2, 1, 2]
