@@ -7,6 +7,7 @@ import numpy as np
 
 import tom
 from tom.frames import Run
+from tom.own_loop.run import record
 
 
 def loaded(store: Path, name: str = "mine") -> Run:
@@ -33,3 +34,17 @@ class Watched(gymnasium.Wrapper):
         self.steps.append((self._obs, np.array(action), found[1], found[0], *found[2:4]))
         self._obs = found[0]
         return found
+
+
+def of_two(store: Path, name: str = "two") -> Path:
+    """A run of a loop of two environments, whose steps after an end only reset: 394 rows of 400."""
+    rng, path = np.random.default_rng(0), store / name
+    how = {"store": store, "steps": 400, "envs": 2, "autoreset": "next-step"}
+    with record(name, env="InvertedPendulum-v5", **how) as run:
+        for step in (200, 400):
+            obs, cut = rng.normal(size=(100, 2, 4)), np.zeros((100, 2), bool)
+            cut[49::50] = True
+            run.transitions(obs, obs[..., :1] / 9, obs[..., 0], obs, cut & ~cut, cut)
+            run.weights(step, np.arange(step) + 1.0)
+            run.episode(step, rng.normal(size=(11, 4)), np.ones(10))
+    return path

@@ -149,6 +149,11 @@ def _trace(axes: Axes, trace: Mapping[str, Any]) -> Any:
     if trace["type"] == "bar":
         gap = np.diff(x).min() if len(x) > 1 else 1.0
         return axes.bar(x, y, width=gap, color=_rgba(trace["colour"]), linewidth=0)
+    if trace["type"] == "waterfall":
+        moves = np.where(np.array(trace["measure"]) == "relative", y, 0)
+        rises, falls, stands = map(_rgba, trace["tints"])
+        colours = [stands if not move else rises if move > 0 else falls for move in moves]
+        return axes.bar(x, y, bottom=(np.cumsum(moves) - moves) * (moves != 0), color=colours)
     if trace["fill"]:
         return axes.fill(x, y, color=_rgba(trace["fill"]), linewidth=0)[0]
     for name, bars in (("xerr", trace["bars"]), ("yerr", trace.get("upright"))):

@@ -89,7 +89,7 @@ def intervals(
                     "line": {"color": colours, "width": 2}},
             error_x=_error_bars(value, low, high),
             text=[
-                f"{text.plotly(one.series or one.line)}: {one.value:.3g}"
+                f"{text.plotly(', '.join(filter(None, (one.line, one.series))))}: {one.value:.3g}"
                 + (f" ({one.low:.3g} to {one.high:.3g})" if np.isfinite(one.low) else "")
                 for one in of_series
             ],

@@ -6,8 +6,10 @@ from numpy.typing import NDArray
 
 from app import text
 from app.data.buffer import Floats
+from app.data.verdicts import Point
 from app.data.weighings import Brushed
-from app.figures.base import horizontal_line, line, note, set_layout
+from app.figures.base import line, note, set_layout
+from app.figures.statistics import intervals
 from app.theme import NEUTRAL, Mode, learner_colour, ramp
 from tom import readable
 from tom.analysis.brush import POLICY, REGION, REST
@@ -26,38 +28,23 @@ def factor_text(factor: float) -> str:
     return f"x {readable.factor(factor)}"
 
 
-def error_bars(brushed: Brushed, height: int, mode: Mode) -> go.Figure:
-    """One group of bars per region, one bar per factor: the mean over seeds and the range.
+def brushed_errors(brushed: Brushed, height: int, mode: Mode) -> go.Figure:
+    """A line per region with a point per factor: the mean over seeds and the range.
 
-    Where no error could be measured there is no bar.
+    Where no error could be measured there is no point.
     """
-    figure = go.Figure()
     regions = [name for name in NAMES if name in brushed.errors]
-    colours = ramp(len(brushed.factors), mode)
-    for factor, colour in zip(brushed.factors, colours, strict=True):
-        ratios = [brushed.change(name, factor) for name in regions]
-        measured = [r[np.isfinite(r)] for r in ratios]
-        means, least, most = (
-            np.array([of(r) if len(r) else np.nan for r in measured])
-            for of in (np.mean, np.min, np.max)
-        )
-        ends = {"array": most - means, "arrayminus": means - least}
-        figure.add_trace(
-            go.Bar(
-                x=[NAMES[name] for name in regions],
-                y=means - 1,
-                base=1,
-                name=f"weight {factor_text(factor)}",
-                marker={"color": colour},
-                error_y={**ends, "thickness": 1.4, "width": 4},
-                customdata=np.stack([means, least, most], -1),
-                hovertemplate="%{x}<br>error x %{customdata[0]:.3f} "
-                "(%{customdata[1]:.3f} to %{customdata[2]:.3f})<extra>%{fullData.name}</extra>",
-            )
-        )
-    marks, y = [horizontal_line(1, 1.5, "dash")], "one-step error over that with unchanged weights"
-    bars = {"barmode": "group", "bargap": 0.25}
-    set_layout(figure, "", height, keep=f"brush {brushed.name}", marks=marks, y=y, **bars)
+    points = []
+    for factor, colour in zip(brushed.factors, ramp(len(brushed.factors), mode), strict=True):
+        for name in regions:
+            ratio = brushed.change(name, factor)
+            if len(ratio := ratio[np.isfinite(ratio)]):
+                ends = float(ratio.mean()), float(ratio.min()), float(ratio.max())
+                points.append(
+                    Point(NAMES[name], f"weight {factor_text(factor)}", colour, "circle", *ends)
+                )
+    axis = "one-step error over that with unchanged weights"
+    figure = intervals(points, axis, 1, height, f"brush {brushed.name}")
     seeds = len(next(iter(brushed.errors[regions[0]].values())))
     return note(figure, [f"mean and range of {seeds} seeds"])
 
@@ -77,7 +64,8 @@ def waterfall(parts: Sum, learner: str, height: int) -> go.Figure:
     figure = go.Figure(
         go.Waterfall(
             x=[*names, "sum", "weight"],
-            y=[*(value for _, _, value in bars), 0, parts.weight],
+            y=[*(value for _, _, value in bars), parts.argument, parts.weight],
+            name="the sum",
             measure=["relative"] * len(bars) + ["total", "absolute"],
             text=[f"{v:+.3g}" for _, _, v in bars]
             + [readable.short(parts.argument), readable.short(parts.weight)],

@@ -1,16 +1,22 @@
 """Draws a page without a browser and reads the numbers that its figures show."""
 
 import base64
+import io
 import json
+import shutil
+import subprocess
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import pandas as pd
+import plotly.graph_objects as go
 import pytest
 from streamlit.testing.v1 import AppTest
 
 from app.links import Links
+from app.parts import plot
 from app.scenes.control import clock
 from tom.record.reader import RunReader
 
@@ -128,3 +134,29 @@ def array(values: Any) -> np.ndarray:
 def trace(figure: dict[str, Any], **wanted: str) -> dict[str, Any]:
     """The first trace of a figure with these properties."""
     return next(t for t in figure["data"] if all(t.get(k) == v for k, v in wanted.items()))
+
+
+NODE = """globalThis.window = { addEventListener() {} };
+%s
+const { data, layout } = %s;
+const usual = { visible: true, xaxis: "x", yaxis: "y" };
+const _fullData = data.map((trace, i) => ({ ...usual, name: `trace ${i}`, ...trace }));
+console.log(csv({ layout, _fullLayout: layout, _fullData }));"""
+
+
+def saved(figure: go.Figure) -> pd.DataFrame:
+    """The CSV that the page's script makes of a figure."""
+    if shutil.which("node") is None:
+        pytest.skip("needs Node.js")
+    traces: list[Any] = list(figure.data)
+    shown = {
+        "data": [trace.to_plotly_json() for trace in traces],
+        "layout": figure.to_dict()["layout"] | {"template": None},
+    }
+    script = (Path(plot.__file__).with_name("plot.js")).read_text()
+    program = NODE % (
+        script.replace("export default", "const part ="),
+        json.dumps(shown, default=lambda numbers: numbers.tolist()),
+    )
+    words = subprocess.run(["node", "-"], input=program, capture_output=True, check=True, text=True)
+    return pd.read_csv(io.StringIO(words.stdout))

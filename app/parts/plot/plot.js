@@ -105,7 +105,7 @@ function download(plot, blob, kind) {
 const titled = (title) => (title?.text && !title.text.startsWith("Click to enter") ? title.text : "");
 
 const drawnTraces = (plot) =>
-  plot._fullData.filter(({ visible, type }) => visible === true && ["scatter", "scattergl", "bar", "heatmap"].includes(type));
+  plot._fullData.filter(({ visible, type }) => visible === true && ["scatter", "scattergl", "bar", "heatmap", "waterfall"].includes(type));
 
 // A label of Plotly's, which is HTML, in plain words (app/text.py escapes it).
 const LETTERS = { amp: "&", lt: "<", gt: ">", quot: '"', "#x27": "'" };
@@ -140,7 +140,7 @@ function csv(plot) {
     // A band goes along its upper edge, and back along the lower one.
     const edge = (i) => (trace.fill === "toself" ? (i < x.length / 2 ? ", high" : ", low") : "");
     const ends = (bars, at, i) => (bars?.array?.[i] || bars?.arrayminus?.[i] ? [at - bars.arrayminus[i], at + bars.array[i]] : ["", ""]);
-    const called = (i) => (Array.isArray(text) ? text[i] : name + edge(i));
+    const called = (i) => (Array.isArray(text) && !trace.measure ? text[i] : name + edge(i));
     return [...(x ?? [])].map((at, i) => [called(i), ...of, at, y[i], "", ...ends(trace.error_x, at, i), ...(both ? ends(trace.error_y, y[i], i) : [])]);
   });
   return [head, ...rows].map((row) => row.map((value) => quoted(worded(value ?? ""))).join(",")).join("\n");
@@ -149,17 +149,20 @@ function csv(plot) {
 // What a drawing for a paper needs, in plain numbers.
 function shown(plot) {
   const full = plot._fullLayout;
-  const axis = ({ range, type, domain, title, tickvals, ticktext, tickmode }) => ({
-    range, type, domain, title: titled(title),
-    tickvals: tickmode === "array" ? [...(tickvals ?? [])] : null, ticktext: tickmode === "array" ? [...(ticktext ?? [])] : null,
-  });
+  const axis = ({ range, type, domain, title, tickvals, ticktext, tickmode, _categories }) => {
+    const ticks = type === "category" ? [_categories.map((_, i) => i), _categories] : tickmode === "array" ? [tickvals ?? [], ticktext ?? []] : null;
+    return { range, type, domain, title: titled(title), tickvals: ticks && [...ticks[0]], ticktext: ticks && [...ticks[1]] };
+  };
   const axes = {};
   const traces = drawnTraces(plot).map((t) => {
     const key = `${t.xaxis}${t.yaxis}`;
     axes[key] ??= { x: axis(full[t.xaxis.replace("x", "xaxis")]), y: axis(full[t.yaxis.replace("y", "yaxis")]) };
     if (t.yaxis === "y") axes[key].y.title ||= plot.layout.meta?.y ?? "";
     return {
-      axes: key, type: t.type === "scattergl" ? "scatter" : t.type, name: t.name ?? "", x: [...(t.x ?? [])], y: [...(t.y ?? [])],
+      axes: key, type: t.type === "scattergl" ? "scatter" : t.type, name: t.name ?? "", y: [...(t.y ?? [])],
+      x: axes[key].x.type === "category" ? t.x.map((_, i) => i) : [...(t.x ?? [])],
+      // Of a waterfall: what each bar is, and the colours of bars that rise, fall and stand.
+      measure: t.measure ? [...t.measure] : null, tints: t.measure ? [t.increasing, t.decreasing, t.totals].map(({ marker }) => marker.color) : null,
       z: t.z ? [...t.z].map((row) => [...row]) : null, mode: t.mode ?? "lines", opacity: t.opacity ?? 1,
       colour: one(t.line?.color) ?? one(t.marker?.color) ?? "#444444", width: t.line?.width ?? 1, dash: t.line?.dash ?? "solid",
       shape: t.line?.shape ?? "linear", symbol: one(t.marker?.symbol) ?? "circle", size: one(t.marker?.size) ?? 4,

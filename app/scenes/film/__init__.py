@@ -73,11 +73,12 @@ def story(run: RunReader) -> dict[str, Any]:
     if model is None:
         raise UserError(f"there is no robot to draw in {run.env}")
     fits = spread(len(profiles.env_step), FITS)
-    rows = recorded[: int(profiles.env_step[-1])]
+    rows = recorded[: int(profiles.rows[-1])]
     step, value = curve_points(readers.metrics(run), "eval/return")
     return {
         "title": full_names([run])[run.run_id],
         "steps": profiles.env_step[fits].tolist(),
+        "rows": profiles.rows[fits].tolist(),
         "count": profiles.count[fits].tolist(),
         "ess": np.round(profiles.ess[fits], 4).tolist(),
         "bins": profiles.bins.shape[1],

@@ -56,7 +56,7 @@ function place(step) {
 // What a transition weighs at a fit, log2: the mean of the part of the buffer that it lies in.
 function weightAt(fit, row) {
   const count = TOLD.count[fit];
-  const age = (row - (TOLD.steps[fit] - count)) / count;
+  const age = (row - (TOLD.rows[fit] - count)) / count;
   if (age < 0 || age >= 1) return null;
   return WEIGHTS[fit * TOLD.bins + Math.floor(age * TOLD.bins)];
 }
@@ -65,6 +65,11 @@ function weight(at, row) {
   const [before, after] = [weightAt(at.fit, row), weightAt(at.next, row)];
   if (before === null || after === null) return before ?? after;
   return before + (after - before) * at.share;
+}
+
+// The rows that there are by now; their number is no step where a loop has left some out.
+function recorded(at) {
+  return TOLD.rows[at.fit] + (TOLD.rows[at.next] - TOLD.rows[at.fit]) * at.share;
 }
 
 function shade(log2) {
@@ -157,11 +162,11 @@ function drawReturns(step) {
   cursor(CURVE, step);
 }
 
-function drawCloud(at, step) {
+function drawCloud(at) {
   frame(DOTS, "the buffer on its two principal components");
-  const lit = [];
+  const [lit, newest] = [[], recorded(at)];
   for (let i = 0; i < CLOUD.row.length; i++) {
-    if (CLOUD.row[i] >= step) break;
+    if (CLOUD.row[i] >= newest) break;
     const log2 = weight(at, CLOUD.row[i]);
     if (log2 !== null) lit.push([log2, i]);
   }
@@ -200,16 +205,16 @@ function drawFloor(travelled) {
   CTX.stroke();
 }
 
-function drawCrowd(at, step, seconds) {
+function drawCrowd(at, seconds) {
   const { row: rows, frames, radius, every } = TOLD.crowd;
   const speed = 0.25 / (TOLD.dt * every); // a quarter of real time
-  const standing = [];
+  const [standing, newest] = [[], recorded(at)];
   rows.forEach((row, k) => {
-    if (row >= step) return;
+    if (row >= newest) return;
     const log2 = weight(at, row);
     if (log2 === null) return;
-    const begun = TOLD.steps[at.fit] - TOLD.count[at.fit];
-    const share = (row - begun) / Math.max(step - begun, 1);
+    const begun = TOLD.rows[at.fit] - TOLD.count[at.fit];
+    const share = (row - begun) / Math.max(newest - begun, 1);
     standing.push({ k, log2, share, depth: (k * 7) % DEPTHS });
   });
   standing.sort((a, b) => b.depth - a.depth);
@@ -219,7 +224,7 @@ function drawCrowd(at, step, seconds) {
     const x = STAGE.left + 30 + inset + share * (STAGE.right - STAGE.left - 60 - 2 * inset);
     const y = STAGE.floor - 62 * depth;
     const heavy = clamp(log2 / LOOK.octaves, -1, 1);
-    const born = clamp((step - rows[k]) / ((LAST - FIRST) * 0.01 + 1));
+    const born = clamp((newest - rows[k]) / ((LAST - FIRST) * 0.01 + 1));
     const colour = COLOURS[shade(log2)];
     const ahead = (seconds * speed + k * 5) % (2 * frames - 2);
     const now = ahead < frames - 1 ? ahead : 2 * frames - 2 - ahead;
@@ -300,13 +305,13 @@ function draw(seconds) {
   CTX.rect(0, 0, STAGE.edge, 720);
   CTX.clip(); // a pendulum's rail is longer than the stage
   drawFloor(episode ? episode.place[now] : 0);
-  drawCrowd(at, step, seconds);
+  drawCrowd(at, seconds);
   drawPolicy(episode, seconds);
   CTX.restore();
   drawHead(at, step);
   drawMap(step);
   drawReturns(step);
-  drawCloud(at, step);
+  drawCloud(at);
   drawKey();
 }
 

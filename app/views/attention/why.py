@@ -17,7 +17,7 @@ from app.data.buffer_map import Source
 from app.data.selection import Mask
 from app.data.weighings import Brushed
 from app.data.why import Why
-from app.figures.why import NAMES, error_bars, factor_text, rollout_lines, waterfall
+from app.figures.why import NAMES, brushed_errors, factor_text, rollout_lines, waterfall
 from app.parts import address, jobs, widgets
 from app.parts.plot import chart
 from app.scenes.film import ghost_film
@@ -256,7 +256,7 @@ def _brushed(run: RunReader, brushed: Brushed) -> None:
         st.markdown(
             f"**{brushed.rows:,} of {brushed.buffer_rows:,} transitions, step {brushed.step:,}**"
         )
-        figure = error_bars(brushed, BRUSH_HEIGHT, session.mode())
+        figure = brushed_errors(brushed, BRUSH_HEIGHT, session.mode())
         chart(figure, "brush errors", "errors of brushed models by region")
         st.caption(error_changes(brushed))
     with right:

@@ -73,7 +73,8 @@ def draw(scope: Scope) -> None:
     if kept and run.env != ROAD:
         label = f"The buffer's newest episode at step {kept[-1]:,}, on its map"
         where = {"run": run.run_id, "step": str(kept[-1])}
-        widgets.link_to("attention", label, row=str(kept[-1] - 1), **where)
+        newest = readers.profiles(run).rows_at(kept[-1]) - 1
+        widgets.link_to("attention", label, row=str(newest), **where)
     _, moves = position()
     play = st.fragment(_play, run_every=TICK_S if moves else None)
     play(run, replay, returns, index, horizon, moves=moves)

@@ -3,11 +3,8 @@
 import io
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.markers import MarkerStyle
 from PIL import Image
+from studio_pages import saved
 
 from app import theme
 from app.data.exams import Exams
@@ -26,8 +24,9 @@ from app.figures.exams import footprint_error_return
 from app.figures.paper import KINDS, SYMBOLS, WIDTHS, paper_figure
 from app.figures.statistics import improvement
 from app.figures.weights import over_fits
-from app.parts import plot
+from app.figures.why import waterfall
 from tom.analysis.curves import Curve, Group, aggregate
+from tom.analysis.why import Sum
 from tom.record.decode import Profiles
 
 STEPS = np.arange(0, 50_000, 1000)
@@ -165,31 +164,6 @@ def test_a_legend_a_heatmap_bars_and_a_log_axis_are_drawn() -> None:
 
 # As CSV
 
-NODE = """globalThis.window = { addEventListener() {} };
-%s
-const { data, layout } = %s;
-const usual = { visible: true, xaxis: "x", yaxis: "y" };
-const _fullData = data.map((trace, i) => ({ ...usual, name: `trace ${i}`, ...trace }));
-console.log(csv({ layout, _fullLayout: layout, _fullData }));"""
-
-
-def saved(figure: go.Figure) -> pd.DataFrame:
-    """The CSV that the page's script makes of a figure."""
-    if shutil.which("node") is None:
-        pytest.skip("needs Node.js")
-    traces: list[Any] = list(figure.data)
-    shown = {
-        "data": [trace.to_plotly_json() for trace in traces],
-        "layout": figure.to_dict()["layout"] | {"template": None},
-    }
-    script = (Path(plot.__file__).with_name("plot.js")).read_text()
-    program = NODE % (
-        script.replace("export default", "const part ="),
-        json.dumps(shown, default=lambda numbers: numbers.tolist()),
-    )
-    words = subprocess.run(["node", "-"], input=program, capture_output=True, check=True, text=True)
-    return pd.read_csv(io.StringIO(words.stdout))
-
 
 def test_a_name_is_saved_as_it_is_read() -> None:
     pair = {"first": "A", "second": "B", "p": 0.1, "p corrected": 0.1}
@@ -235,3 +209,17 @@ def test_columns_have_their_names_and_one_scale_in_a_paper_s_figure() -> None:
     words = re.findall(r"<text[^>]*>([^<]+)</text>", paper_figure(shown, "two", "svg").decode())
     assert sorted(w for w in words if w in ("TOM", "MLE", "much")) == ["MLE", "TOM", "much"]
     assert words.count("100") == 1
+
+
+def test_a_weight_s_sum_is_saved() -> None:
+    rows = saved(waterfall(Sum(1.0, 0.5, 0.0, 0.7, 0.0, 1.8, 0.9, 2.0), "tom", 300))
+    assert rows["x"].tolist() == ["r", "+ g E Q(s', a')", "- Q(s, a)", "sum", "weight"]
+    assert rows["y"].tolist() == pytest.approx([1, 0.5, -0.7, 0.8, 2])
+    shown, sizes = message(GROUPS, annotations=[]), rows["y"].tolist()
+    of = {"type": "waterfall", "x": [*range(5)], "y": sizes,
+          "measure": ["relative"] * 3 + ["total", "absolute"],
+          "tints": ["#111111", "#222222", "#333333"]}  # fmt: skip
+    shown["traces"] = [shown["traces"][0] | of]
+    shown["axes"]["xy"]["y"]["range"] = [0, 2]
+    drawn = paper_figure(shown, "one", "svg").decode()
+    assert [drawn.count(tint) for tint in of["tints"]] == [2, 1, 2]

@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from loops import of_two
 from studio_pages import draw
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
@@ -39,6 +40,13 @@ def test_a_story_is_what_the_run_recorded(store: Path) -> None:
     assert len(numbers(told["cloud"]["x"], "<f4")) == len(rows)
     kept = RunReader(store / PENDULUM_TOM).evaluation_steps()
     assert {episode["step"] for episode in told["policy"]} <= set(kept)
+
+
+def test_a_film_of_several_environments_counts_the_rows_of_the_record(tmp_path: Path) -> None:
+    run = RunReader(of_two(tmp_path))
+    told, rows = story(run), run.buffer_length()
+    assert rows == told["rows"][-1] == told["count"][-1] < told["steps"][-1]
+    assert numbers(told["cloud"]["row"], "<i4")[-1] == rows - 1
 
 
 def test_robots_stand_on_the_floor_as_the_simulator_has_them() -> None:

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studio_pages import Show, array, draw, figures, in_buffer
+from studio_pages import Show, array, draw, figures, in_buffer, saved
 from studio_runs import PENDULUM_TOM, info, with_weighing
 
 from app.data import buffer_map, weighings
 from app.data.weighings import Brushed
-from app.figures.why import error_bars
+from app.figures.why import brushed_errors
 from app.views.attention.in_buffer import table
 from app.views.attention.why import brush_arguments
 from tom.analysis.brush import REGION, REST
@@ -61,8 +61,8 @@ def test_the_page_shows_what_was_measured(brushed: Path) -> None:
     of = {(r["factor"], r["seed"]): r["errors"] for r in report["results"]}
     ratio = np.mean([of[4, s]["rest"] / of[1, s]["rest"] for s in (0, 1)])
     app = in_buffer(run=PENDULUM_TOM, step=str(FIT))
-    bars = [f for f in figures(app) if len(f["data"]) == 2 and f["data"][0]["type"] == "bar"]
-    assert array(bars[0]["data"][1]["y"])[1] + 1 == pytest.approx(ratio)
+    (points,) = [f for f in figures(app) if "weight x 4" in [of.get("name") for of in f["data"]]]
+    assert array(points["data"][1]["x"])[1] == pytest.approx(ratio)
     assert found.factors == [0, 4]
     assert found.ghosts["real"].shape == found.ghosts["x4"].shape
     assert "region x 4 s0, made" in app.selectbox(key="weights").options
@@ -111,16 +111,19 @@ def test_a_small_copy_keeps_the_brush(made: Path, store: Path, tmp_path: Path) -
     assert weighings.brushed(replace(brush, path=copy)) is not None
 
 
-def test_every_factor_has_a_bar_and_what_was_not_measured_has_none() -> None:
+def test_every_factor_has_a_point_and_what_was_not_measured_has_none() -> None:
     factors = (0.0, 0.25, 0.5, 2.0, 4.0)
     errors = {factor: [0.5 + factor, 0.7 + factor] for factor in (*factors, 1.0)}
     region = {factor: [np.nan, np.nan] for factor in errors}
     found = Brushed("b", 10, 100, 300, {}, {REGION: region, REST: errors}, {})
-    bars = error_bars(found, 300, "dark").to_dict()["data"]
-    assert len(bars) == len({bar["marker"]["color"] for bar in bars}) == len(factors)
-    drawn = array(bars[-1]["y"])
-    assert np.isnan(drawn[0])
-    assert drawn[1] == pytest.approx(np.mean([4.5 / 1.5, 4.7 / 1.7]) - 1)
+    figure = brushed_errors(found, 300, "dark")
+    drawn = figure.to_dict()["data"]
+    assert len(drawn) == len({str(of["marker"]["color"]) for of in drawn}) == len(factors)
+    ratios = [4.5 / 1.5, 4.7 / 1.7]
+    assert array(drawn[-1]["x"]) == pytest.approx([np.mean(ratios)])
+    rows = saved(figure).iloc[-1]
+    assert rows["line"].startswith("held-out, elsewhere, weight x 4: ")
+    assert [rows["low"], rows["high"]] == pytest.approx(sorted(ratios))
 
 
 def test_the_weights_of_a_brush_are_named_by_file_and_column(brushed: Path) -> None:

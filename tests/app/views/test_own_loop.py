@@ -4,13 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from loops import loaded
+from loops import loaded, of_two
 from streamlit.testing.v1 import AppTest
 from studio_pages import Show, array, draw, figures
 
+from app.parts import widgets
 from app.theme import learner_label
 from tom.own_loop.live import weigh_live
 from tom.own_loop.run import record
+from tom.record.reader import RunReader
 
 PAGES = ("answer", "curves", "attention", "replays")
 RETURNS = [-9.0, -4.0]
@@ -91,3 +93,14 @@ def test_live_weights_of_all_learners_are_compared(store: Path):
         weight = live.weights()["weight"].to_numpy()
         expected = weight.sum() ** 2 / (weight**2).sum() / 400
         assert ess[learner_label(learner)] == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_newest_episode_is_that_of_the_record_s_newest_row(
+    tmp_path: Path, show: Show, monkeypatch: pytest.MonkeyPatch
+):
+    rows = RunReader(of_two(tmp_path)).buffer_length()
+    asked: list[dict[str, str]] = []
+    monkeypatch.setattr(widgets, "link_to", lambda *_, **choices: asked.append(choices))
+    show(tmp_path)
+    assert not draw("replays", run="two").exception
+    assert asked[0]["row"] == str(rows - 1)
