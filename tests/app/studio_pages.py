@@ -4,7 +4,7 @@ import base64
 import io
 import json
 import shutil
-import subprocess
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -18,6 +18,7 @@ from streamlit.testing.v1 import AppTest
 from app.links import Links
 from app.parts import plot
 from app.scenes.control import clock
+from app.servers.browser import chromium
 from tom.record.reader import RunReader
 
 TIMEOUT_S = 60
@@ -136,27 +137,32 @@ def trace(figure: dict[str, Any], **wanted: str) -> dict[str, Any]:
     return next(t for t in figure["data"] if all(t.get(k) == v for k, v in wanted.items()))
 
 
-NODE = """globalThis.window = { addEventListener() {} };
+def in_browser(test: Callable[..., None]) -> Callable[..., None]:
+    """Marks a test that needs Chromium."""
+    here = pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium")
+    return pytest.mark.browser(here(test))
+
+
+CSV_OF = """() => {
 %s
 const { data, layout } = %s;
 const usual = { visible: true, xaxis: "x", yaxis: "y" };
 const _fullData = data.map((trace, i) => ({ ...usual, name: `trace ${i}`, ...trace }));
-console.log(csv({ layout, _fullLayout: layout, _fullData }));"""
+return csv({ layout, _fullLayout: layout, _fullData });
+}"""
 
 
 def saved(figure: go.Figure) -> pd.DataFrame:
-    """The CSV that the page's script makes of a figure."""
-    if shutil.which("node") is None:
-        pytest.skip("needs Node.js")
+    """The CSV that the page's script makes of a figure, in a browser."""
     traces: list[Any] = list(figure.data)
     shown = {
         "data": [trace.to_plotly_json() for trace in traces],
         "layout": figure.to_dict()["layout"] | {"template": None},
     }
     script = (Path(plot.__file__).with_name("plot.js")).read_text()
-    program = NODE % (
+    program = CSV_OF % (
         script.replace("export default", "const part ="),
         json.dumps(shown, default=lambda numbers: numbers.tolist()),
     )
-    words = subprocess.run(["node", "-"], input=program, capture_output=True, check=True, text=True)
-    return pd.read_csv(io.StringIO(words.stdout))
+    with chromium() as browser:
+        return pd.read_csv(io.StringIO(browser.new_page().evaluate(program)))

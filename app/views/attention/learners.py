@@ -9,7 +9,7 @@ import streamlit as st
 from app import session, text
 from app.data import buffer, weighings
 from app.data.buffer import Floats
-from app.data.called import names
+from app.data.run_names import full_names
 from app.data.weighings import Dataset, Weighing
 from app.figures.weights import median_profiles
 from app.parts import address, form, jobs, widgets
@@ -59,8 +59,8 @@ def draw(scope: Scope) -> None:
     )  # fmt: skip
     rows = 0 if run is None else buffer.length(run)
     if run is not None:
-        called = text.markdown(names(scope.runs).get(run.run_id, run.name))
-        top.header(f"How each learner weighs the buffer of {called}", anchor=False)
+        name = text.markdown(full_names(scope.runs).get(run.run_id, run.name))
+        top.header(f"How each learner weighs the buffer of {name}", anchor=False)
     if run is None:
         if not widgets.show_left_out_of_all(online, "buffer"):
             st.info("No run of a MuJoCo task has collected transitions here yet.")

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.markers import MarkerStyle
 from PIL import Image
-from studio_pages import saved
+from studio_pages import in_browser, saved
 
 from app import theme
 from app.data.exams import Exams
@@ -119,7 +119,7 @@ def message(groups: list[Group], **changed: Any) -> dict[str, Any]:
     return json.loads(json.dumps(whole | changed))
 
 
-CURVE, RETURNS = Curve("r", "hopper", "tom", "paper", 0, STEPS[1:2], STEPS[1:2]), {"a": 7, "b": 9}
+CURVE, RETURNS = Curve("r", "hopper", "tom", "paper", 0, STEPS[1:2], np.ones(1)), {"a": 7, "b": 9}
 GROUPS = [group("tom", 90), group("mle", 88), group("pmac", 20, runs=1)]
 
 
@@ -165,11 +165,12 @@ def test_a_legend_a_heatmap_bars_and_a_log_axis_are_drawn() -> None:
 # As CSV
 
 
+@in_browser
 def test_a_name_is_saved_as_it_is_read() -> None:
     pair = {"first": "A", "second": "B", "p": 0.1, "p corrected": 0.1}
     pairs = pd.DataFrame([pair | {"probability": 0.8, "low": 0.5, "high": 0.9}])
     figure = improvement(pairs, ["#12ab34"], 200, "")
-    assert saved(figure)["line"][0].startswith("A > B")
+    assert str(saved(figure)["line"][0]).startswith("A > B")
     shown = message(GROUPS, annotations=[])
     shown["axes"]["xy"]["y"] |= {
         "tickvals": [0], "ticktext": figure.to_dict()["layout"]["yaxis"]["ticktext"],
@@ -177,6 +178,7 @@ def test_a_name_is_saved_as_it_is_read() -> None:
     assert ">A &gt; B<" in paper_figure(shown, "one", "svg").decode()
 
 
+@in_browser
 def test_each_panel_s_numbers_are_saved_under_its_own_axes() -> None:
     one = np.ones(1)
     exams = Exams("r", "tom", 0, "g", np.array([100]), one, one, 0.5 * one, 0.1 * one, 20 * one)
@@ -185,7 +187,10 @@ def test_each_panel_s_numbers_are_saved_under_its_own_axes() -> None:
     assert rows.filter(like="return").tolist() == [20]
     at, bins = np.array([100]), np.ones((1, 2))
     profiles = Profiles(at, bins, at, one, one, at)
-    parts = [(name, replace(CURVE, value=value * one), profiles) for name, value in RETURNS.items()]
+    parts = [
+        (name, replace(CURVE, value=float(value) * one), profiles)
+        for name, value in RETURNS.items()
+    ]
     rows = saved(over_fits(parts, "light", 300)).set_index("y is").loc["return"]
     assert dict(zip(rows["line"], rows["y"], strict=True)) == {"a return": 7, "b return": 9}
 
@@ -211,6 +216,7 @@ def test_columns_have_their_names_and_one_scale_in_a_paper_s_figure() -> None:
     assert words.count("100") == 1
 
 
+@in_browser
 def test_a_weight_s_sum_is_saved() -> None:
     rows = saved(waterfall(Sum(1.0, 0.5, 0.0, 0.7, 0.0, 1.8, 0.9, 2.0), "tom", 300))
     assert rows["x"].tolist() == ["r", "+ g E Q(s', a')", "- Q(s, a)", "sum", "weight"]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studio_pages import Show, array, draw, figures, in_buffer, saved
+from studio_pages import Show, array, draw, figures, in_browser, in_buffer, saved
 from studio_runs import PENDULUM_TOM, info, with_weighing
 
 from app.data import buffer_map, weighings
@@ -111,6 +111,7 @@ def test_a_small_copy_keeps_the_brush(made: Path, store: Path, tmp_path: Path) -
     assert weighings.brushed(replace(brush, path=copy)) is not None
 
 
+@in_browser
 def test_every_factor_has_a_point_and_what_was_not_measured_has_none() -> None:
     factors = (0.0, 0.25, 0.5, 2.0, 4.0)
     errors = {factor: [0.5 + factor, 0.7 + factor] for factor in (*factors, 1.0)}
