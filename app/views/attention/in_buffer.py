@@ -303,7 +303,7 @@ def row_table(run: RunReader, rows: Rows, index: np.ndarray) -> pd.DataFrame:
     table = {
         "weight": rows.weight[index],
         "row": rows.first + index,
-        "episode": rows.episode[index] + 1,
+        "episode": rows.episode[index],
         "step of the episode": rows.episode_step[index] + 1,
         "return of the episode": rows.episode_return[index],
         "policy version": rows.version[index] if rows.policies_known else "not known",
