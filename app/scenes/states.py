@@ -126,7 +126,10 @@ def _groups(
     for words, rows, weights in choice.groups:
         if rows:
             qpos = poses(task_of(run), recorded, state, windows(ended, rows))
-            ends = dict.fromkeys(readable.short(weight) for weight in (min(weights), max(weights)))
+            ends = dict.fromkeys(
+                "< 0.001" if 0 < weight < 0.001 else readable.short(weight)
+                for weight in (min(weights), max(weights))
+            )
             tints = solids.weight_colours(np.array(weights, np.float64), mode)
             colours = [(int(r), int(g), int(b)) for r, g, b in tints]
             groups.append(
