@@ -47,7 +47,7 @@ def step_axis_title(envs: Iterable[str]) -> str:
     return "steps of policy optimisation" if shown == {ROAD} else "steps"
 
 
-def set_layout(
+def styled(
     figure: go.Figure,
     x: str,
     height: int,
@@ -83,7 +83,7 @@ def set_layout(
 def panels(rows: int, columns: int, height: int, keep: str, **how: Any) -> go.Figure:
     """Several axes with the common layout, `how` they share and lie (`make_subplots`).
 
-    The user's zoom is kept as in `set_layout`.
+    The user's zoom is kept as in `styled`.
     """
     figure = make_subplots(rows, columns, **how)
     figure.update_layout(LAYOUT | {"height": height, "uirevision": keep})

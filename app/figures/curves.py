@@ -23,8 +23,8 @@ from app.figures.base import (
     dropped_by_log_axes,
     line,
     note,
-    set_layout,
     step_axis_title,
+    styled,
 )
 from app.theme import (
     NEUTRAL,
@@ -203,7 +203,7 @@ def group_curves(
         # With a single point Plotly would show a tiny range around it: start the axis at zero.
         x_axis |= {"rangemode": "tozero", "autorangeoptions": {"include": 0}}
     # One label for all lines at a step, the highest first; `meta` is for a saved figure and table.
-    set_layout(
+    styled(
         figure, x, height, keep=f"{metric} {axes}", x_axis=x_axis,
         y_axis={"type": "log" if axes.log_y else "linear"}, hovermode="x unified",
         hoversort="value descending", meta={"y": short_title(metric), "groups": named},

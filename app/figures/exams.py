@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from app import text
 from app.data.buffer import Floats
 from app.data.exams import Exams
-from app.figures.base import dashes, line, note, panels, set_layout, vertical_line
+from app.figures.base import dashes, line, note, panels, styled, vertical_line
 from app.figures.weights import AGES, AT_AGE, PLACE, bin_centres
 from app.theme import learner_colour, learner_label, learner_symbol, with_alpha
 from tom.readable import score, short
@@ -102,4 +102,4 @@ def errors_by_age(
     lone: dict[str, Any] = {"showlegend": True}  # a single one may be of another run
     zero, kept = {"rangemode": "tozero"}, f"errors by age {keep}"
     y = "one-step error (std)"
-    return set_layout(figure, PLACE, height, keep=kept, y=y, x_axis=AGES, y_axis=zero, **lone)
+    return styled(figure, PLACE, height, keep=kept, y=y, x_axis=AGES, y_axis=zero, **lone)

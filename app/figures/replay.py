@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from app import text
 from app.data.buffer import WINDOW
 from app.data.replays import Replay
-from app.figures.base import line, note, panels, set_layout, step_axis_title
+from app.figures.base import line, note, panels, step_axis_title, styled
 from app.figures.curves import return_line
 from app.theme import NEUTRAL, learner_colour, learner_label
 from tom.analysis.curves import Curve
@@ -49,7 +49,7 @@ def return_curve(
         )
     lone = {"range": [0, 2 * step], "tickvals": [step]} if len(curve.step) < 2 else {}
     x, kept = step_axis_title([curve.env]), f"returns {curve.run_id}"
-    set_layout(figure, x, height, keep=kept, y="return", x_axis=lone)
+    styled(figure, x, height, keep=kept, y="return", x_axis=lone)
     return note(figure, thinned)
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from app import text
 from app.data.road import CENTRES, Picture, circle, outline
-from app.figures.base import OCTAVES, line, octaves, relative_scale, set_layout
+from app.figures.base import OCTAVES, line, octaves, relative_scale, styled
 from app.theme import NEUTRAL, TEXT, Mode, learner_colour, learner_label
 
 NO_DATA: dict[Mode, str] = {"light": "#c4c9d3", "dark": "#414858"}
@@ -63,7 +63,7 @@ def road_map(picture: Picture, mode: Mode, height: int) -> go.Figure:
         figure.add_trace(trace.update(visible="legendonly"))
     square = {"range": [0, 1], "showgrid": False, "showticklabels": False, "ticks": ""}
     square |= {"constrain": "domain"}
-    return set_layout(
+    return styled(
         figure,
         "",
         height,

@@ -14,7 +14,7 @@ from app import text
 from app.data import run_names
 from app.data.verdicts import LABELS, Panel, Point, symbol
 from app.figures import base
-from app.figures.base import band, line, set_layout, vertical_line
+from app.figures.base import band, line, styled, vertical_line
 from app.figures.curves import HOLLOW, Style, core_line
 from app.theme import NEUTRAL, learner_colour, with_alpha
 from tom.analysis.statistics import Interval
@@ -60,7 +60,7 @@ def profiles(
             figure.add_trace(core_line(x, stairs, one.style).update(legendgroup=title))
     shares = {"range": [-0.02, 1.02], "tickformat": ".0%"}
     kept = f"profile {score} {keep}"
-    return set_layout(figure, f"{score} above", height, keep=kept, y="share of runs", y_axis=shares)
+    return styled(figure, f"{score} above", height, keep=kept, y="share of runs", y_axis=shares)
 
 
 def intervals(
@@ -100,7 +100,7 @@ def intervals(
              "range": [-0.6, len(lines) - 0.4], "showgrid": False, "title": ""}  # fmt: skip
     marks = [vertical_line(level, 1.2, "dash")]
     more = {"x_axis": x_axis, "y_axis": ticks, "showlegend": len(series) > 1}
-    return set_layout(figure, axis, height, keep=keep, marks=marks, **more)
+    return styled(figure, axis, height, keep=keep, marks=marks, **more)
 
 
 FEW, MORE = (0.03, 0.1, 0.3, 1, 3), (0.5, 0.7, 0.8, 0.9, 1, 1.2, 1.5, 2, 3)

@@ -17,8 +17,8 @@ from app.figures.base import (
     octaves,
     panels,
     relative_scale,
-    set_layout,
     step_axis_title,
+    styled,
     vertical_line,
 )
 from app.figures.curves import return_line
@@ -86,7 +86,7 @@ def weight_profile(
     # Plotly leaves out a label that does not fit: "oldest", left of an axis with short labels.
     more = {"margin": {"l": HALF_A_WORD}, "showlegend": False, "bargap": 0}
     marks, kept = [horizontal_line(1, 1.5, "dash")], f"profile {keep}"
-    set_layout(figure, PLACE, height, keep=kept, marks=marks, x_axis=AGES, **more)
+    styled(figure, PLACE, height, keep=kept, marks=marks, x_axis=AGES, **more)
     return on_log_axis(figure, top)
 
 
@@ -130,7 +130,7 @@ def median_profiles(
         random > 0
     )
     kept, y = f"probe {keep}", "mean weight"
-    set_layout(figure, PLACE, height, keep=kept, marks=marks, y=y, x_axis=AGES)
+    styled(figure, PLACE, height, keep=kept, marks=marks, y=y, x_axis=AGES)
     return on_log_axis(figure)
 
 

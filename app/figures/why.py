@@ -8,7 +8,7 @@ from app import text
 from app.data.buffer import Floats
 from app.data.verdicts import Point
 from app.data.weighings import Brushed
-from app.figures.base import line, note, set_layout
+from app.figures.base import line, note, styled
 from app.figures.statistics import intervals
 from app.theme import NEUTRAL, Mode, learner_colour, ramp
 from tom import readable
@@ -81,7 +81,7 @@ def waterfall(parts: Sum, learner: str, height: int) -> go.Figure:
     )
     layout = {"showlegend": False, "margin": {"t": 30, "b": 8}}
     zero = {"zeroline": True, "zerolinecolor": NEUTRAL}
-    return set_layout(figure, "", height, keep=f"why {parts}", y_axis=zero, **layout)
+    return styled(figure, "", height, keep=f"why {parts}", y_axis=zero, **layout)
 
 
 def rollout_lines(
@@ -101,6 +101,6 @@ def rollout_lines(
     steps = np.arange(len(recorded))
     figure.add_trace(line(steps, recorded, NEUTRAL, 2.5, f"{hover}recorded</extra>", **marked))
     kept = f"rollouts {name} from {recorded[0]}"
-    set_layout(figure, "steps", height, keep=kept, y=text.plotly(name))
+    styled(figure, "steps", height, keep=kept, y=text.plotly(name))
     ended = int(np.isnan(paths[:, -1]).sum())
     return note(figure, [f"{ended} of {len(paths)} rollouts ended before"] if ended else [])

@@ -91,7 +91,7 @@ def see_runs_side_by_side(page: "Page") -> None:
     page.get_by_role("radio", name="Side by side").click()
     chart = page.get_by_role("group", name="weights and return of the runs")
     chart.locator(".nsewdrag").first.wait_for()
-    lines = chart.evaluate("""plot => plot._fullData.filter(t => t.name === "return").map(
+    lines = chart.evaluate("""plot => plot._fullData.filter(t => t.name.endsWith("return")).map(
         ({ y, yaxis }) => [
             plot._fullLayout[yaxis.replace("y", "yaxis")].range, Math.min(...y), Math.max(...y),
         ])""")
