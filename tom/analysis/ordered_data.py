@@ -171,7 +171,11 @@ def load_run(run: RunReader, step: int | None = None) -> OrderedData:
         random_rows = int(run.config.get("ordered_from", 0))
     kept = slice(None)
     if step is not None:
-        end = run.rows_at(step)
+        profiles = run.profiles()
+        end = profiles.rows_at(step)
+        if run.own_loop and step not in profiles.env_step:
+            # All rows before the first that was handed in later.
+            end = int(np.append(version > step, True).argmax())
         if not run.fits_model or not 0 < end <= len(rows):
             has = f"{len(rows)} steps" if run.fits_model else "no fits of a model"
             raise UserError(f"run {run.run_id} has {has}: --step {step} is none of them")

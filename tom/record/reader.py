@@ -309,21 +309,6 @@ class RunReader:
             np.concatenate(drawn),
         )
 
-    def rows_at(self, step: int) -> int:
-        """The rows that the record had at env step `step`; the buffer is the newest of them.
-
-        In a loop's record these are all rows before the first that was handed in later.
-        """
-        profiles = self.profiles()
-        if not self.own_loop or step in profiles.env_step:
-            return profiles.rows_at(step)
-        later = np.flatnonzero(self.buffer()[1] > step)
-        return int(later[0]) if len(later) else self.buffer_length()
-
-    def step_of(self, rows: int) -> int:
-        """The env step at which the first `rows` rows of the record were there."""
-        return int(self.buffer()[1][:rows].max(initial=0)) if self.own_loop else rows
-
     def buffer_length(self) -> int:
         """The number of rows ever collected; reads only the end of the last segment."""
         first = max(layout.numbers(self.home / layout.BUFFER, ".npz"), default=0)

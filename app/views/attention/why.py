@@ -244,7 +244,9 @@ def _brush_form(job: str, run: RunReader, source: Source, mask: Mask) -> None:
         with NamedTemporaryFile("w", prefix="tom-brush-", suffix=".txt", delete=False) as file:
             np.savetxt(file, source.first + np.flatnonzero(mask), fmt="%d")
         store = session.links().store
-        step = run.step_of(source.end) if source.step is None else source.step
+        step = source.end if source.step is None else source.step
+        if source.step is None and run.own_loop:  # whose steps are those handed in
+            step = int(buffer.recorded(run).version[: source.end].max())
         words = brush_arguments(run.argument, file.name, step, source.option, factors, store)
         # The file goes with the record of its reader, or with the studio.
         finalize(jobs.start(job, words), Path(file.name).unlink, missing_ok=True)
