@@ -115,7 +115,7 @@ def test_a_store_that_may_not_be_written__is_read_and_refused_in_one_line(tmp_pa
     train(config(steps=60), Store(tmp_path), "a", rerun=False)
     for path in (tmp_path, *tmp_path.rglob("*")):
         path.chmod(0o555 if path.is_dir() else 0o444)
-    with pytest.raises(UserError, match=r"cannot (write to the store|make run)"):
+    with pytest.raises(UserError, match="cannot make run"):
         RunWriter.create(Store(tmp_path), "b", config())
     assert [run.run_id for run in Store(tmp_path).runs()] == ["a"]
     assert Store(tmp_path).run("a").problems == []

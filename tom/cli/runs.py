@@ -362,7 +362,6 @@ def fetch(args: argparse.Namespace) -> int:
         wanted = args.run_ids or [name for name in bucket.folders() if RUN_ID.fullmatch(name)]
         if not wanted:
             raise UserError(f"no runs in {args.url}: is it the --store of a sweep?")
-        store.ensure_writable()
         for run_id in wanted:
             done[run_id] = fetch_run(bucket, run_id, store)
             if not args.json:

@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
             print(script(len(planned), args.store, words, longest))
             return 0
         with open_engine(args.engine, args.address, args.jobs) as engine:
-            backend.store.ensure_writable()
+            backend.store.path.mkdir(parents=True, exist_ok=True)
             driver = Driver(backend, planned, engine, accept_versions=args.accept_versions)
             print_problems(backend.store)
             return drive(args, driver)

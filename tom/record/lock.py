@@ -23,10 +23,6 @@ TRIES, WAIT_S = 20, 0.01
 """attempts to lock a run, and seconds between them: `is_held` has the lock for an instant"""
 
 
-class BusyError(TryLaterError):
-    """Another process has the run folder: it writes it, or has just moved it away."""
-
-
 class LostError(OSError):
     """Another writer has taken over the run folder."""
 
@@ -60,15 +56,17 @@ class RunLock:
 def acquire(path: Path) -> RunLock:
     """Lock the run folder `path` until the returned lock is closed.
 
-    Raises BusyError if another process holds the lock, or another machine writes the run, as a new
-    heartbeat shows; if this machine wrote last, the lock is proof enough. Raises UserError if the
-    folder cannot be written.
+    Raises TryLaterError if another process holds the lock, or another machine writes the run, as a
+    new heartbeat shows; if this machine wrote last, the lock is proof enough. Raises UserError if
+    the folder cannot be written.
     """
     before = RunReader(path).status  # running, alive or not: its machine's clock may be another
     if before.state == "running" and was_written_here(path) is False:
         time.sleep(2.5 * BEAT_S)
         if RunReader(path).status.heartbeat != before.heartbeat:
-            raise BusyError(f"run '{path.name}' is being written on another machine: stop it there")
+            raise TryLaterError(
+                f"run '{path.name}' is being written on another machine: stop it there"
+            )
     try:
         file = os.open(path / layout.LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
@@ -83,7 +81,7 @@ def acquire(path: Path) -> RunLock:
             time.sleep(WAIT_S)
     else:
         os.close(file)
-        raise BusyError(
+        raise TryLaterError(
             f"run '{path.name}' is being written by another process: wait for it, or stop it"
         )
     writer = _boot() + secrets.token_hex(8).encode()

@@ -106,14 +106,3 @@ class Store:
                 f"there is no store {self.path}/: name another with --store, or train something "
                 "(`tom demo`)"
             )
-
-    def ensure_writable(self) -> None:
-        """Make the store's folder. Raises UserError if it cannot be written."""
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UserError(
-                f"cannot make the store {self.path}: {error.strerror}; name another with --store"
-            ) from error
-        if not os.access(self.path, os.W_OK | os.X_OK):
-            raise UserError(f"cannot write to the store {self.path}: name another with --store")

@@ -87,7 +87,6 @@ class RunWriter:
             with suppress(TakenError):
                 return cls.create(store, generated, config, matmul, command)
         path = store.resolve(run_id)
-        store.ensure_writable()
         taken = TakenError(f"run '{run_id}' exists already: choose another run id")
         if os.path.lexists(path):
             raise taken

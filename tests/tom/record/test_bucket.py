@@ -109,7 +109,6 @@ def test_fetch_keeps_labels_and_what_is_further_here(bucket: Bucket, record, tmp
     attempt = Attempt.claim(bucket, "run")
     attempt.put(run.path)
     here = Store(tmp_path / "here")
-    here.ensure_writable()
     assert fetch_run(bucket, "run", here) == FETCHED
     assert fetch_run(bucket, "run", here) == SAME
     manage.label(here, "run", add=["mine"])
@@ -134,7 +133,6 @@ def test_names_that_lead_out_of_the_run_are_not_fetched(bucket: Bucket, record, 
     evil = Request(f"{os.environ['AWS_ENDPOINT_URL']}/{name}", b"evil", method="PUT")
     urlopen(evil).close()
     here = Store(tmp_path / "here")
-    here.ensure_writable()
     with pytest.raises(OSError, match="leads out of"):
         fetch_run(bucket, "run", here)
     assert list(here.path.iterdir()) == []

@@ -18,10 +18,10 @@ from recorded import (
 )
 
 from tom.config import OnlineConfig
+from tom.errors import TryLaterError
 from tom.events import Collected, Metrics, Tick, Weights
 from tom.record import Store, lock
 from tom.record import recorder as recorder_module
-from tom.record.lock import BusyError
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter, TakenError
 
@@ -259,7 +259,7 @@ def test_two_writers_of_one_run_are_refused(store: Store):
     writer = RunWriter.create(store, "run", Config)
     with pytest.raises(TakenError):
         RunWriter.create(store, "run", Config)
-    with pytest.raises(BusyError):
+    with pytest.raises(TryLaterError):
         RunWriter(store.path / "run", Config)
     assert lock.is_held(writer.path)
     writer.close()

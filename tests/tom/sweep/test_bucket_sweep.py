@@ -78,7 +78,6 @@ def test_a_worker_killed_with_all_it_had__goes_on_from_the_object_store_to_the_s
         finish(driver)
         assert job.state == "finished", job.note
     fetched, undisturbed = Store(tmp_path / "fetched"), Store(tmp_path / "undisturbed")
-    fetched.ensure_writable()
     assert fetch_run(bucket, job.run_id, fetched) == FETCHED
     assert fetched.run(job.run_id).config["resumes"]
     finish(Driver(FolderBackend(undisturbed), planned, LocalEngine(1)))
