@@ -139,16 +139,15 @@ def fetch(bucket: Bucket, run_id: str, target: Path) -> str | None:
 
     Raises OSError if the store does not answer, or an object's name leads out of `target`.
     """
-    for last in (*[False] * (TRIES - 1), True):
+    for _ in range(TRIES):
         names = bucket.names(run_id)
         attempt = newest(names)
         if attempt is None:
             return None
         shutil.rmtree(target, ignore_errors=True)
-        for folder in layout.FOLDERS:  # an object store has no empty folders
-            (target / folder).mkdir(parents=True, exist_ok=True)
+        target.mkdir(parents=True)
         start = f"{run_id}/{attempt}/"
-        try:
+        with suppress(FileNotFoundError):  # a new checkpoint has replaced an old one
             for name in (name for name in names if name.startswith(start)):
                 path = target / name.removeprefix(start)
                 if not path.resolve().is_relative_to(target.resolve()):
@@ -157,10 +156,7 @@ def fetch(bucket: Bucket, run_id: str, target: Path) -> str | None:
                     path.parent.mkdir(parents=True, exist_ok=True)
                     path.write_bytes(bucket.read(name))
             return attempt
-        except FileNotFoundError:  # a new checkpoint has replaced an old one
-            if last:
-                raise
-    return None
+    raise OSError(f"run '{run_id}' changes faster than it can be copied")
 
 
 def fetch_run(bucket: Bucket, run_id: str, store: Store) -> str:

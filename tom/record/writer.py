@@ -55,7 +55,7 @@ class RunWriter:
         self.path, self.config, self.run_id = path, config, path.name
         self._lock = lock.acquire(path)
         for folder in (path, *(path / name for name in layout.FOLDERS)):
-            folder.mkdir(exist_ok=True)  # a later version may have more
+            folder.mkdir(exist_ok=True)
             for left in folder.glob(".*.tmp"):  # by a killed writer
                 if not left.name.startswith(f".{layout.LABELS}"):  # which others write
                     left.unlink(missing_ok=True)
@@ -108,8 +108,6 @@ class RunWriter:
         }
         try:
             with whole_folder(path) as unfinished:
-                for folder in layout.FOLDERS:
-                    (unfinished / folder).mkdir()
                 replace_json(unfinished / layout.CONFIG, content, sync=True)
                 save_scene(config.env, unfinished)
         except OSError as error:

@@ -10,7 +10,7 @@ from common import change, present
 from recorded import events, files
 
 from tom.errors import UserError
-from tom.record import RunReader, Store, checkpoint, layout, manage
+from tom.record import RunReader, Store, checkpoint, manage
 from tom.record import bucket as object_store
 from tom.record.bucket import AHEAD, FETCHED, FETCHED_ANEW, SAME, Attempt, Bucket, fetch, fetch_run
 from tom.record.lock import LostError
@@ -37,7 +37,6 @@ def test_what_is_put_is_what_is_fetched(bucket: Bucket, record, tmp_path: Path):
     attempt.put(run.path)
     assert fetch(bucket, "run", tmp_path / "there") == attempt.name
     assert files(tmp_path / "there") == files(run.path)
-    assert all((tmp_path / "there" / name).is_dir() for name in layout.FOLDERS)
 
 
 def test_only_what_changed_is_put_again(bucket: Bucket, record):
