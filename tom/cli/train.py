@@ -95,12 +95,12 @@ def start_training(config: AnyConfig, args: argparse.Namespace) -> int:
     if is_done(config, run):
         _print_summary(run, args)
         return 0
-    try:
-        if find_unfinished(store, config, run_id=run.run_id):
-            return resume_run(args, run.run_id, config.steps + max(beyond or 0, 0))
-    except StartAgainError as error:
-        print(error, file=sys.stderr)
     if there:
+        try:
+            if checkpoint.load(run.path / checkpoint.FOLDER) is not None:
+                return resume_run(args, run.run_id, config.steps + max(beyond or 0, 0))
+        except StartAgainError as error:
+            print(error, file=sys.stderr)
         with closing(lock.acquire(run.path)):
             place = manage.into_trash(store, run.path)
         print(f"{run.run_id}: started from scratch; the old folder is in {place}", file=sys.stderr)

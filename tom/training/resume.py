@@ -95,18 +95,15 @@ def resume(
     return RunReader(writer.path)
 
 
-def find_unfinished(store: Store, config: AnyConfig, *, run_id: str | None = None) -> str | None:
+def find_unfinished(store: Store, config: AnyConfig) -> str | None:
     """The newest resumable run with these settings, or with fewer steps.
 
-    Runs that are being written, and those without an undamaged checkpoint, are skipped. A `run_id`
-    leaves out all others, and may be of more steps. Raises TryLaterError for a run whose
-    checkpoints cannot be read for now.
+    Runs that are being written, and those without an undamaged checkpoint, are skipped. Raises
+    TryLaterError for a run whose checkpoints cannot be read for now.
     """
     for reader in store.runs():
         beyond = steps_beyond(config, reader)
-        if beyond is None or run_id not in (None, reader.run_id) or lock.is_held(reader.path):
-            continue
-        if (beyond > 0 and run_id is None) or is_done(config, reader):
+        if beyond is None or beyond > 0 or is_done(config, reader) or lock.is_held(reader.path):
             continue
         if checkpoint.load(reader.path / checkpoint.FOLDER) is not None:
             return reader.run_id
