@@ -73,7 +73,7 @@ def test_disk_full_while_checkpointing__the_one_before_stays_and_training_goes_o
     held = checkpoint.load(done.path / checkpoint.FOLDER)
     assert held is not None
     assert held.env_step == 100
-    assert held.problems == []
+    assert held.unusable == {}
     (small_disk / ".filler").unlink()
     assert resume(store, "a", steps=240, rerun=False).status.env_step == 240
 

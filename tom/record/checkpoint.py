@@ -36,12 +36,12 @@ UNUSABLE = (OSError, ValueError, pickle.UnpicklingError)
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A loaded checkpoint; `unusable` are newer damaged ones, `problems` their errors."""
+    """A loaded checkpoint."""
 
     env_step: int
     state: dict[str, Any]
-    problems: list[str] = field(default_factory=list)
-    unusable: list[Path] = field(default_factory=list)
+    unusable: dict[Path, str] = field(default_factory=dict)
+    """newer ones that cannot be used, each with its problem in one line"""
 
 
 def save(folder: Path, env_step: int, state: dict[str, Any]) -> Path:
@@ -76,8 +76,7 @@ def load(folder: Path) -> Checkpoint | None:
     """
     import torch
 
-    problems: list[str] = []
-    unusable: list[Path] = []
+    unusable: dict[Path, str] = {}
     path = folder
     try:
         if folder.is_dir():
@@ -87,12 +86,11 @@ def load(folder: Path) -> Checkpoint | None:
                 with _whole(path) as file:
                     # On the CPU, so that it can be read on a machine without GPU.
                     state = torch.load(file, map_location="cpu", weights_only=True)
-                return Checkpoint(int(path.name), state, problems, unusable)
+                return Checkpoint(int(path.name), state, unusable)
             except UNUSABLE as error:
                 if cannot_read_now(error):
                     raise
-                problems.append(f"checkpoint {path.name} cannot be used: {reason(error)}")
-                unusable.append(path)
+                unusable[path] = f"checkpoint {path.name} cannot be used: {reason(error)}"
     except OSError as error:
         raise TryLaterError(
             f"{folder.parent.name}: {path.relative_to(folder.parent)}: {reason(error)}, so it "

@@ -60,7 +60,7 @@ def verify(reader: RunReader) -> list[str]:
         last = datetime.fromtimestamp(max(run.status.heartbeat, 0))
         problems.append(f"says it is running, without a heartbeat since {last:%Y-%m-%d %H:%M:%S}")
     if held is not None:
-        problems += held.problems
+        problems += held.unusable.values()
         if len(rows) < (collected := held.state.get("training", {}).get("collected", 0)):
             problems.append(
                 f"{layout.BUFFER} has {len(rows)} of {collected} rows: the run cannot be resumed"

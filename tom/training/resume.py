@@ -74,7 +74,7 @@ def resume(
         training = make_training(config)
         watch = make_watch(config, training)
         mark = _restore(reader, saved, training, watch)
-        notices += [("checkpoint", text) for text in saved.problems]
+        notices += [("checkpoint", text) for text in saved.unusable.values()]
         for path in saved.unusable:  # or they would be among the two that are kept
             set_aside(reader.path, path)
         table = reader.path / layout.METRICS_TABLE

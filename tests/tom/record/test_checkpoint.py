@@ -22,7 +22,7 @@ def test_round_trip_and_only_two_are_kept(tmp_path: Path):
     assert loaded.env_step == 300
     assert torch.equal(loaded.state["x"], state(300)["x"])
     assert loaded.state["none"] is None
-    assert loaded.problems == []
+    assert loaded.unusable == {}
 
 
 @pytest.mark.parametrize("damage", ["flip", "truncate", "no manifest", "newer schema"])
@@ -40,4 +40,4 @@ def test_a_damaged_checkpoint_is_named_and_the_previous_one_used(tmp_path: Path,
             (path / "manifest.json").write_text('{"schema": 99}')
     loaded = present(checkpoint.load(tmp_path))
     assert loaded.env_step == 1
-    assert "000000002" in loaded.problems[0]
+    assert list(loaded.unusable) == [path]
