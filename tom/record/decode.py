@@ -141,22 +141,9 @@ def profiles_of(rows: Sequence[Mapping[str, Any]]) -> Profiles:
         count=np.array([row["count"] for row in rows], np.int64),
         ess=np.array([row["ess"] for row in rows], np.float64),
         zeros=np.array([row["zeros"] for row in rows], np.float64),
-        rows=np.array([_rows_of(row) for row in rows], np.int64),
+        # Older runs on data that is complete from the first step on do not say how much it is.
+        rows=np.array([r.get("rows", max(r["env_step"], r["count"])) for r in rows], np.int64),
     )
-
-
-def _rows_of(row: Mapping[str, Any]) -> int:
-    # Older runs on data that is complete from the first step on do not say how much it is.
-    return row.get("rows", max(row["env_step"], row["count"]))
-
-
-def numbers(row: Mapping[str, Any]) -> dict[str, float]:
-    """The finite values of a metric row by name, without its `env_step`; others were null."""
-    return {
-        name: float(value)
-        for name, value in row.items()
-        if name != "env_step" and value is not None and math.isfinite(value)
-    }
 
 
 def metrics_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
@@ -168,9 +155,13 @@ def metrics_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     names: dict[str, None] = {}
     for row in rows:
         if isinstance(step := row.get("env_step"), int):
-            merged.setdefault(step, {}).update(numbers(row))
-            names |= dict.fromkeys(row)
-    names.pop("env_step", None)
+            values = {name: value for name, value in row.items() if name != "env_step"}
+            names |= dict.fromkeys(values)
+            merged.setdefault(step, {}).update(
+                (name, float(value))
+                for name, value in values.items()
+                if value is not None and math.isfinite(value)
+            )
     values = [[merged[step].get(name, np.nan) for name in names] for step in sorted(merged)]
     table = pd.DataFrame(
         np.array(values, np.float64).reshape(len(merged), len(names)), columns=[*names]

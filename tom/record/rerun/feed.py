@@ -17,7 +17,7 @@ import rerun as rr
 from tom import plugins
 from tom.errors import UserError
 from tom.record import layout
-from tom.record.decode import numbers, profiles_of
+from tom.record.decode import metrics_table, profiles_of
 from tom.record.files import open_lines, parse_json_line, replace
 from tom.record.reader import RunReader
 from tom.record.rerun.view import RerunView
@@ -87,9 +87,7 @@ class Follower:
         """
         rows = self._metrics.rows()
         for first in range(0, len(rows), ROWS):
-            for row in rows[first : first + ROWS]:
-                self._view.metrics(row["env_step"], numbers(row))
-            self._view.flush()
+            self._view.metrics(metrics_table(rows[first : first + ROWS]))
             yield
         profiles = profiles_of(self._profiles.rows())
         for step, bins in zip(profiles.env_step.tolist(), profiles.bins, strict=True):

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
+import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
@@ -67,7 +68,6 @@ class RerunView:
         """env steps between two evaluations"""
         self._replay_s = 0.0
         self._floor_drawn = False
-        self._scalars: dict[str, list[tuple[int, float]]] = {}
         # Viewers store one layout per application id, so runs with other layouts get another id.
         application = f"tom-studio {run.env} {run.learner}{' episode' if layout else ''}"
         layout = layout or blueprint(run.env, run.learner, drawn=self._model is not None)
@@ -91,20 +91,17 @@ class RerunView:
         """The bytes recorded since the last call, if there is no sink."""
         return (self._bytes.read() if self._bytes else None) or b""
 
-    def metrics(self, env_step: int, values: Mapping[str, float]) -> None:
-        """Each finite value as a scalar at the metric's path; sent with the next `flush`."""
-        for path, value in values.items():
-            if np.isfinite(value):
-                self._scalars.setdefault(path, []).append((env_step, value))
+    def metrics(self, table: pd.DataFrame) -> None:
+        """The rows of a table of metrics, each finite value as a scalar at the metric's path.
 
-    def flush(self) -> None:
-        """Send the waiting metrics; sent singly each would cost a kilobyte and slow the viewer."""
-        for path, points in self._scalars.items():
-            steps, values = zip(*points, strict=True)
-            times = rr.TimeColumn("env_step", sequence=np.array(steps))
-            columns = rr.Scalars.columns(scalars=np.array(values))
-            self.stream.send_columns(path, [times], columns)
-        self._scalars = {}
+        They are sent together: singly each would cost a kilobyte and slow the viewer.
+        """
+        for path in table.columns.drop("env_step"):
+            known = table[["env_step", path]].dropna()
+            if len(known):
+                times = rr.TimeColumn("env_step", sequence=known["env_step"].to_numpy())
+                columns = rr.Scalars.columns(scalars=known[path].to_numpy())
+                self.stream.send_columns(path, [times], columns)
 
     def profile(self, env_step: int, bins: NDArray[np.float64]) -> None:
         """The weight profile as bars; an empty bin has height 0."""
@@ -145,7 +142,6 @@ class RerunView:
 
     def close(self, timeout_s: float) -> None:
         """Flush the remaining data. Raises an error if the sink takes too long."""
-        self.flush()
         self.stream.flush(timeout_sec=timeout_s)
         self.stream.disconnect()
 
