@@ -2,10 +2,10 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from functools import partial
-from typing import Any, TextIO
+from typing import Any
 
 from tom.cli.output import ProgressReport, print_result, summary
 from tom.cli.parser import (
@@ -36,7 +36,7 @@ from tom.record.versions import command
 from tom.training.plan import is_done, steps_beyond
 from tom.training.presets import resolve
 from tom.training.resume import find_unfinished, resumable_config, resume
-from tom.training.run import AnyConfig, RecordingOptions, Stop, train
+from tom.training.run import AnyConfig, Stop, train
 
 OWN_OPTIONS = ("env", "learner", "preset")
 
@@ -123,27 +123,20 @@ def resume_run(args: argparse.Namespace, run_id: str, steps: str | int | None) -
     return _run_with_progress(args, config, going_on)
 
 
-@contextmanager
-def with_progress(
-    config: AnyConfig, stream: TextIO, *, rerun: bool
-) -> Iterator[tuple[str, RecordingOptions]]:
-    """Progress of a training inside the block, which a signal stops cleanly.
-
-    Gives its label, and the options for `train` and `resume`.
-    """
-    label, stop = f"{config.env} {config.learner} seed {config.seed}", Stop()
-    with on_stopping(stop), ProgressReport(label, config.total_steps, stream) as progress:
-        watchers = (progress.consume,)
-        yield label, {"rerun": rerun, "watchers": watchers, "command": command(), "stop": stop}
-
-
 def _run_with_progress(
     args: argparse.Namespace, config: AnyConfig, training: Callable[..., RunReader]
 ) -> int:
+    """Run `train` or `resume`, which a signal stops cleanly; returns the exit code."""
     stream = sys.stderr if args.json else sys.stdout
-    with with_progress(config, stream, rerun=not args.no_rerun) as (label, options):
+    label, stop = f"{config.env} {config.learner} seed {config.seed}", Stop()
+    with on_stopping(stop), ProgressReport(label, config.total_steps, stream) as progress:
         try:
-            done = training(**options)
+            done = training(
+                rerun=not args.no_rerun,
+                watchers=(progress.consume,),
+                command=command(),
+                stop=stop,
+            )
         except KeyboardInterrupt:
             print(f"{label}: stopped at once, without a checkpoint", file=sys.stderr)
             return FAILED
