@@ -8,7 +8,6 @@ import argparse
 import os
 import platform
 import shutil
-import sys
 from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -24,7 +23,6 @@ from tom.machine import memory
 from tom.readable import size
 from tom.record import Store
 
-PYTHON = (3, 11)
 LOW_GB, FULL_GB = 10.0, 1.0
 STUDIO_BYTES = 500e6  # memory of one of the studio's servers that has read nothing
 
@@ -67,10 +65,7 @@ def check(name: str, store: Path) -> Finding:
 
 
 def _packages(_: Path) -> Finding:
-    """Compare Python and every requirement of the package with what is installed."""
-    if sys.version_info < PYTHON:
-        fix = "make the virtual environment with python3.11"
-        return Finding("bad", f"Python {platform.python_version()}", fix)
+    """Compare every requirement of the package with what is installed."""
     wrong = [text for line in metadata.requires("tom-studio") or [] if (text := unmet(line))]
     if wrong:
         return Finding("bad", "; ".join(wrong), "pip install -e . (in the clone)")
