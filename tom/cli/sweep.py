@@ -19,7 +19,6 @@ from rich.text import Text
 from tom import readable
 from tom.cli.output import Display, print_problems, show_rows, summary
 from tom.cli.parser import add_accept_versions, add_json, add_training_options, overrides
-from tom.config import merged
 from tom.envs import ANY, ENV_NAMES, import_task
 from tom.envs.termination import import_rule
 from tom.errors import GoneError, UserError
@@ -121,13 +120,10 @@ def _planned(args: argparse.Namespace) -> list[Trial]:
     content: dict[str, Any] = read_plan(args.file) if args.file else {}
     names = ("env", "learner", "seeds", "steps", "preset")
     content |= {name: getattr(args, name) for name in names if getattr(args, name) is not None}
-    settings = content.get("settings", {})
-    if isinstance(settings, dict):  # anything else is an error that `checked` reports
-        content["settings"] = merged(settings, overrides(args))
     missing = [f"--{name}" for name in ("env", "learner") if not content.get(name)]
     if missing:
         raise UserError(f"a sweep needs {' and '.join(missing)} (or --file PLAN.yaml)")
-    plan = checked(content)
+    plan = checked(content).but(settings=overrides(args))
     for name in plan.env:
         import_task(name)
     model = plan.settings.get("model", {})

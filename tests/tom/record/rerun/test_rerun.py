@@ -193,16 +193,6 @@ def rows(parts: Iterable[bytes], folder: Path, of: str) -> pd.DataFrame:
     return pd.concat(found)
 
 
-def test_a_viewer_that_comes_late_gets_the_whole_run(record, tmp_path: Path):
-    run = record()
-    parts, want = list(stream(run)), run.metrics()
-    table = rows(parts, tmp_path, "model/holdout_nll")
-    assert table["env_step"].tolist() == want["env_step"].tolist()
-    values = [value[0] for value in table["Scalars:scalars"]]
-    np.testing.assert_allclose(values, want["model/holdout_nll"])
-    assert len(rows(parts, tmp_path, "weights/profile")) == 10
-
-
 def test_a_stream_grows_with_the_run_and_ends_with_it(store: Store, tmp_path: Path):
     recorder = Recorder(RunWriter.create(store, "run", Config))
     given = events()
