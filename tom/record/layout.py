@@ -32,14 +32,8 @@ STUDIES = "studies"
 TRASH = ".trash"
 VIEWS = ".views"
 LOGS = ".sweep"
-BESIDE_RUNS = {
-    WEIGHINGS: "weighings",
-    STUDIES: "studies",
-    TRASH: "trashed runs",
-    VIEWS: "short links",
-    LOGS: "logs of sweeps",
-}
-"""folders of a store that are not runs, and their content"""
+BESIDE_RUNS = (WEIGHINGS, STUDIES, TRASH, VIEWS, LOGS)
+"""folders of a store that are not runs"""
 LOCK = ".writer"
 FOLDERS = ("weights", POLICIES, "episodes", BUFFER, "fields")
 

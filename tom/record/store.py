@@ -69,9 +69,9 @@ class Store:
 
         Raises UserError for an invalid id, or one that leads out of the store.
         """
-        if held := layout.BESIDE_RUNS.get(run_id):
+        if run_id in layout.BESIDE_RUNS:
             self.beside(run_id)
-            raise UserError(f"'{run_id}' is no run id: {held} lie there; choose another name")
+            raise UserError(f"'{run_id}' is no run id: that folder of a store is for other things")
         if not layout.RUN_ID.fullmatch(run_id):
             raise UserError(
                 f"'{run_id[:120]}' is no run id: use letters, digits, '.', '_' and '-', "
