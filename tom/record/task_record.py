@@ -113,14 +113,14 @@ def task_of(run: RunReader) -> Task:
 
 
 def dimension_names(
-    env: str, rows: Transitions, described: Sequence[str] = ()
+    env: str, rows: Transitions, described: Sequence[str]
 ) -> tuple[list[str], list[str]]:
     """The names of the observation's and the action's dimensions, (O,) and (A,).
 
-    `described` are the names that a run has recorded for a task that is not ours.
+    `described` are the observation's names in the run's task; none on road-and-rocks.
     """
     o, a = np.shape(rows.obs)[1], np.shape(rows.action)[1]
-    named = ("x", "y") if env == ROAD else ENVS[env].obs_names if env in ENVS else described
+    named = ("x", "y") if env == ROAD else described
     names = list(named) if len(named) == o else [f"observation {i + 1}" for i in range(o)]
     actions = ENVS[env].action_names if env in ENVS else ()
     return names, list(actions) or [f"action {i + 1}" for i in range(a)]
