@@ -38,8 +38,6 @@ SMALL = 200_000
 """maximum size in bytes of a small part"""
 DIGITS = 5
 MANTISSA_BITS = 10  # of float32's 23; float16 has as many: the error is at most 0.05 %
-SHRINKS = 20
-"""smallest share to which a part can shrink; larger parts are not even tried"""
 FIRST_EPISODE = re.compile(r"^[^.]*_0(\.|$)")  # `info_0.success` is in `info_0`
 PLACES = ("--store", "--out")
 """options whose values are folders of the machine that made the run"""
@@ -249,7 +247,7 @@ def _write_optional(
 ) -> None:
     """Write one of OPTIONAL, unless it is in `without`, or not small and not in `keep`."""
     name, write = OPTIONAL[part]
-    if part in without or (part not in keep and size_of(reader.path / name) > SHRINKS * SMALL):
+    if part in without:
         return
     write(reader, to)
     if part not in keep and size_of(to / name) > SMALL:
