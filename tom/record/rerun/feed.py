@@ -4,7 +4,6 @@
 run folders like any reader: trainings do not know of them, and they may start late.
 """
 
-import logging
 import os
 import sys
 import time
@@ -15,7 +14,6 @@ from typing import Any
 import rerun as rr
 
 from tom import plugins
-from tom.errors import UserError
 from tom.record import layout
 from tom.record.decode import metrics_table, profiles_of
 from tom.record.files import open_lines, parse_json_line, replace
@@ -29,8 +27,6 @@ WRITTEN_S = 600.0
 END, END_BYTES = b"RRF2FOOT", 16
 """what stands among the last bytes of a whole recording"""
 ROWS = 256  # of metrics sent together, because a viewer takes a second for some hundred chunks
-
-_log = logging.getLogger(__name__)
 
 
 class Tail:
@@ -56,8 +52,7 @@ class Tail:
             return []
         whole = text[: text.rfind(b"\n") + 1]
         self._offset += len(whole)
-        rows = map(parse_json_line, whole.splitlines())
-        return [row for row in rows if row and isinstance(row.get("env_step"), int)]
+        return [row for row in map(parse_json_line, whole.splitlines()) if row]
 
 
 class Follower:
@@ -81,10 +76,7 @@ class Follower:
         self._after = after
 
     def follow(self) -> Iterator[None]:
-        """Send new data piece by piece, because a long run would be gigabytes at once.
-
-        If an evaluation cannot be shown, its file is logged, and the others follow.
-        """
+        """Send new data piece by piece, because a long run would be gigabytes at once."""
         rows = self._metrics.rows()
         for first in range(0, len(rows), ROWS):
             self._view.metrics(metrics_table(rows[first : first + ROWS]))
@@ -96,11 +88,7 @@ class Follower:
         for step in self.run.evaluation_steps():
             if step > self._after:
                 self._after = step
-                try:
-                    self._view.evaluation(step)
-                except (UserError, LookupError, TypeError, ValueError, OverflowError) as error:
-                    name = layout.episodes(step)
-                    _log.warning("%s of %s is left out of Rerun: %s", name, self.run.run_id, error)
+                self._view.evaluation(step)
                 yield
 
     def pieces(self) -> Iterator[bytes]:
