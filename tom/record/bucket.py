@@ -245,7 +245,7 @@ class Attempt:
         files: dict[str, tuple[int, int]] = {}
         for path, stat in (*files_in(folder / checkpoint.FOLDER), *files_in(folder)):
             name = path.relative_to(folder)
-            if name != Path(layout.STATUS) and not any(one.startswith(".") for one in name.parts):
+            if name != Path(layout.STATUS):
                 files[name.as_posix()] = stat.st_mtime_ns, stat.st_size
         for name in sorted(files, key=_rank):
             if self._put.get(name) == files[name]:

@@ -138,9 +138,13 @@ def sync(path: Path) -> None:
 
 
 def files_in(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
-    """Every file under `folder` except links; files that vanish meanwhile are skipped."""
-    for base, _, names in os.walk(folder):
-        for path in (Path(base, name) for name in names):
+    """Every file under `folder` but links and hidden ones, as the lock and unfinished files are.
+
+    Files that vanish meanwhile are skipped.
+    """
+    for base, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        for path in (Path(base, name) for name in names if not name.startswith(".")):
             try:
                 entry = path.lstat()
             except OSError:

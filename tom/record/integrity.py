@@ -101,7 +101,7 @@ def repair(reader: RunReader) -> list[str]:
             ended = but(status, state="stopped", phase="", eta_s=None, reason=why)
             replace_json(run / layout.STATUS, asdict(ended), sync=True)
             done[layout.STATUS] = f"running became stopped at step {ended.env_step}"
-        if (run / layout.DIGESTS).exists() and (damaged or _damaged(run)):
+        if (run / layout.DIGESTS).exists() and (damaged or done):
             write_digests(run)
             for name in damaged:
                 done.setdefault(name, "its digest is computed again")
@@ -112,11 +112,7 @@ def _with_digest(path: Path) -> list[str]:
     """The names of the files that have a digest, sorted."""
     recordings = layout.rrd_files(path)
     files = [file.relative_to(path) for file, _ in files_in(path) if file not in recordings]
-    return sorted(
-        name.as_posix()
-        for name in files
-        if name.parts[0] not in LEFT_OUT and not any(part.startswith(".") for part in name.parts)
-    )
+    return sorted(name.as_posix() for name in files if name.parts[0] not in LEFT_OUT)
 
 
 def _damaged(path: Path) -> dict[str, str]:
