@@ -1,6 +1,5 @@
 """Makes and writes a run folder (docs/run-folder.md): files only, no threads."""
 
-import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict
@@ -87,9 +86,6 @@ class RunWriter:
             with suppress(TakenError):
                 return cls.create(store, generated, config, matmul, command)
         path = store.resolve(run_id)
-        taken = TakenError(f"run '{run_id}' exists already: choose another run id")
-        if os.path.lexists(path):
-            raise taken
         task, needed = description(config.env), plugins.needed(config)
         content = {
             "schema": layout.SCHEMA,
@@ -111,8 +107,8 @@ class RunWriter:
                 replace_json(unfinished / layout.CONFIG, content, sync=True)
                 save_scene(config.env, unfinished)
         except OSError as error:
-            if path.exists():  # another writer was first
-                raise taken from error
+            if path.exists():
+                raise TakenError(f"run '{run_id}' exists already: choose another run id") from error
             kind = TryLaterError if error.errno in DISK_FULL else UserError
             raise kind(f"cannot make run {run_id}: {error}") from error
         return cls(path, config)
