@@ -89,21 +89,20 @@ def start_training(config: AnyConfig, args: argparse.Namespace) -> int:
         unfinished = find_unfinished(store, config)
         return resume_run(args, unfinished, config.steps) if unfinished else record(config, args)
     run = RunReader(store.resolve(args.run_id))
-    there, beyond = run.path.is_dir(), steps_beyond(config, run)
-    if there and beyond is None:
-        return record(config, args)  # refused: another training has the name
+    beyond = steps_beyond(config, run)
+    if beyond is None:
+        return record(config, args)  # refused if another training has the name
     if is_done(config, run):
         _print_summary(run, args)
         return 0
-    if there:
-        try:
-            if checkpoint.load(run.path / checkpoint.FOLDER) is not None:
-                return resume_run(args, run.run_id, config.steps + max(beyond or 0, 0))
-        except StartAgainError as error:
-            print(error, file=sys.stderr)
-        with closing(lock.acquire(run.path)):
-            place = manage.into_trash(store, run.path)
-        print(f"{run.run_id}: started from scratch; the old folder is in {place}", file=sys.stderr)
+    try:
+        if checkpoint.load(run.path / checkpoint.FOLDER) is not None:
+            return resume_run(args, run.run_id, config.steps + max(beyond, 0))
+    except StartAgainError as error:
+        print(error, file=sys.stderr)
+    with closing(lock.acquire(run.path)):
+        place = manage.into_trash(store, run.path)
+    print(f"{run.run_id}: started from scratch; the old folder is in {place}", file=sys.stderr)
     return record(config, args)
 
 
