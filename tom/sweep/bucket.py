@@ -16,8 +16,8 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from subprocess import TimeoutExpired
 from typing import Any, Literal
@@ -40,32 +40,29 @@ PUT_S = 10.0  # the heartbeat in the bucket is at most this much older than the 
 LAST_PUTS, AGAIN_S = 30, 20.0  # attempts to put the end of a run, and the wait between them
 
 
-class BucketBackend(FolderBackend, AbstractContextManager["BucketBackend", None]):
+class BucketBackend(FolderBackend):
     """The runs `run_ids` in `bucket`.
 
-    `store` is a temporary folder of this machine. For every run it holds the settings, the status
-    and the names of the checkpoints.
+    `store` is a folder of this machine for as long as the sweep runs. For every run it holds the
+    settings, the status and the names of the checkpoints.
     """
 
     lease_s = LEASE_S
 
     def __init__(
-        self, bucket: Bucket, run_ids: Sequence[str], clock: Clock = time.monotonic
+        self,
+        bucket: Bucket,
+        store: Store,
+        run_ids: Sequence[str],
+        clock: Clock = time.monotonic,
     ) -> None:
         """Raises OSError if the bucket does not answer."""
-        super().__init__(Store(tempfile.mkdtemp(prefix="tom-sweep-")), clock)
+        super().__init__(store, clock)
         self._bucket = bucket
         self._next: dict[str, float] = {}
         self._own = secrets.token_hex(4)  # the attempts of this driver end with it
-        try:
-            for run_id in run_ids:
-                self.update(run_id, now=True)
-        except BaseException:
-            self.__exit__()
-            raise
-
-    def __exit__(self, *_: object) -> None:
-        shutil.rmtree(self.store.path, ignore_errors=True)
+        for run_id in run_ids:
+            self.update(run_id, now=True)
 
     def update(self, run_id: str, *, now: bool = False) -> None:
         if not now and self._clock() < self._next.get(run_id, 0.0):
@@ -76,7 +73,7 @@ class BucketBackend(FolderBackend, AbstractContextManager["BucketBackend", None]
             names = self._bucket.names(run_id)
             attempt, claimed = newest(names), newest(names, CLAIM)
             if attempt is not None:
-                path.mkdir(exist_ok=True)
+                path.mkdir(parents=True, exist_ok=True)
                 for name in (layout.CONFIG, layout.STATUS):
                     content = self._bucket.read(f"{run_id}/{attempt}/{name}")
                     (path / name).write_bytes(content)
@@ -119,19 +116,21 @@ class BucketBackend(FolderBackend, AbstractContextManager["BucketBackend", None]
         return f"{self._bucket.url}/{name}"
 
 
-def open_backend(
-    store: Path | str, run_ids: Sequence[str]
-) -> AbstractContextManager[FolderBackend]:
+@contextmanager
+def open_backend(store: Path | str, run_ids: Sequence[str]) -> Iterator[FolderBackend]:
     """The storage of these runs: a folder or s3://BUCKET/PREFIX.
 
     Raises UserError if an object store cannot be reached.
     """
     if isinstance(store, Path):
-        return nullcontext(FolderBackend(Store(store)))
-    try:
-        return BucketBackend(Bucket.open(store), run_ids)
-    except OSError as error:
-        raise UserError(f"{store}: {error}") from error
+        yield FolderBackend(Store(store))
+        return
+    with tempfile.TemporaryDirectory(prefix="tom-sweep-") as folder:
+        try:
+            backend = BucketBackend(Bucket.open(store), Store(folder), run_ids)
+        except OSError as error:
+            raise UserError(f"{store}: {error}") from error
+        yield backend
 
 
 class Worker:

@@ -67,16 +67,16 @@ def test_a_worker_killed_with_all_it_had__goes_on_from_the_object_store_to_the_s
 ):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     planned, bucket = plan(learner=["mle"], seeds=[0], steps=4000), Bucket.open(bucket_url)
-    with BucketBackend(bucket, [planned[0].run_id]) as backend:
-        driver = Driver(backend, planned, LocalEngine(1), back_off_s=0.1)
-        (job,) = driver.jobs
-        until(lambda: beyond_a_checkpoint(backend.store), driver.poll)
-        assert job.process
-        job.process.kill()
-        (tmp_path / "another machine").mkdir()
-        monkeypatch.setenv("TMPDIR", str(tmp_path / "another machine"))
-        finish(driver)
-        assert job.state == "finished", job.note
+    backend = BucketBackend(bucket, Store(tmp_path / "seen"), [planned[0].run_id])
+    driver = Driver(backend, planned, LocalEngine(1), back_off_s=0.1)
+    (job,) = driver.jobs
+    until(lambda: beyond_a_checkpoint(backend.store), driver.poll)
+    assert job.process
+    job.process.kill()
+    (tmp_path / "another machine").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "another machine"))
+    finish(driver)
+    assert job.state == "finished", job.note
     fetched, undisturbed = Store(tmp_path / "fetched"), Store(tmp_path / "undisturbed")
     assert fetch_run(bucket, job.run_id, fetched) == FETCHED
     assert fetched.run(job.run_id).config["resumes"]
@@ -88,15 +88,15 @@ def test_a_store_that_does_not_answer_a_worker_is_no_reason_to_give_up_at_once(
     bucket_url: str, tmp_path: Path, monkeypatch
 ):
     planned = plan(learner=["mle"], seeds=[0])
-    with BucketBackend(Bucket.open(bucket_url), [planned[0].run_id]) as backend:
-        driver = Driver(backend, planned, LocalEngine(1), back_off_s=1e6)
-        with monkeypatch.context() as away:
-            away.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
-            driver.poll()
-        (job,) = driver.jobs
-        until(lambda: job.process is None, driver.poll)
-        assert (job.state, job.attempts) == ("waiting", 1)
-        assert "cannot reach the bucket" in job.note
+    backend = BucketBackend(Bucket.open(bucket_url), Store(tmp_path / "seen"), [planned[0].run_id])
+    driver = Driver(backend, planned, LocalEngine(1), back_off_s=1e6)
+    with monkeypatch.context() as away:
+        away.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+        driver.poll()
+    (job,) = driver.jobs
+    until(lambda: job.process is None, driver.poll)
+    assert (job.state, job.attempts) == ("waiting", 1)
+    assert "cannot reach the bucket" in job.note
 
 
 @pytest.fixture
@@ -126,20 +126,20 @@ def test_a_run_is_left_to_another_machine_until_it_was_seen_unchanged_for_long(
     bucket, now = Bucket.open(bucket_url), 0.0
     other = Elsewhere(bucket, trial, tmp_path)
     other.put("running", time.time() + off_s)
-    with BucketBackend(bucket, [trial.run_id], lambda: now) as backend:
-        driver = Driver(backend, [trial], LocalEngine(1))
-        (job,) = driver.jobs
-        for beat in range(1, 4):
-            other.put("running", time.time() + off_s + beat)
-            now += LOOK_S
-            driver.poll()
-            now += LEASE_S - 1.0
-            driver.poll()
-            assert job.state == "elsewhere"
+    backend = BucketBackend(bucket, Store(tmp_path / "seen"), [trial.run_id], lambda: now)
+    driver = Driver(backend, [trial], LocalEngine(1))
+    (job,) = driver.jobs
+    for beat in range(1, 4):
+        other.put("running", time.time() + off_s + beat)
         now += LOOK_S
         driver.poll()
-        assert job.state == "running"
-        driver.stop()
+        now += LEASE_S - 1.0
+        driver.poll()
+        assert job.state == "elsewhere"
+    now += LOOK_S
+    driver.poll()
+    assert job.state == "running"
+    driver.stop()
 
 
 @pytest.mark.fault
@@ -148,14 +148,14 @@ def test_a_worker_whose_run_another_machine_takes_over__ends_and_is_no_failure(
 ):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     bucket = Bucket.open(bucket_url)
-    with BucketBackend(bucket, [trial.run_id]) as backend:
-        driver = Driver(backend, [trial], LocalEngine(1))
-        (job,) = driver.jobs
-        until(lambda: newest(bucket.names(trial.run_id), CLAIM), driver.poll)
-        Attempt.claim(bucket, trial.run_id)
-        until(lambda: job.process is None, driver.poll)
-        assert job.state == "elsewhere"
-        assert "was taken over by another attempt" in job.log.read_text()
+    backend = BucketBackend(bucket, Store(tmp_path / "seen"), [trial.run_id])
+    driver = Driver(backend, [trial], LocalEngine(1))
+    (job,) = driver.jobs
+    until(lambda: newest(bucket.names(trial.run_id), CLAIM), driver.poll)
+    Attempt.claim(bucket, trial.run_id)
+    until(lambda: job.process is None, driver.poll)
+    assert job.state == "elsewhere"
+    assert "was taken over by another attempt" in job.log.read_text()
 
 
 @pytest.fixture
