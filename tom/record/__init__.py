@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tom.record.reader import RunReader
-    from tom.record.status import Status
     from tom.record.store import Store
 
-__all__ = ["RunReader", "Status", "Store"]
-_MODULES = {"RunReader": "reader", "Status": "status", "Store": "store"}
+__all__ = ["RunReader", "Store"]
+_MODULES = {"RunReader": "reader", "Store": "store"}
 
 
 def __getattr__(name: str) -> Any:

@@ -50,7 +50,7 @@ def verify(reader: RunReader) -> list[str]:
     except TryLaterError as error:
         problems.append(str(error).removeprefix(f"{run.run_id}: "))
     _ = run.config, run.labels, run.status
-    for read in (run.metrics, run.metric_rows, run.profiles, run.notices, run.list_folders):
+    for read in (run.metric_rows, run.profiles, run.notices, run.list_folders):
         read()
     rows, _ = run.buffer()
     named = " ".join(run.problems)
