@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tom.analysis.ordered_data import OrderedData, action_bounds, find_run, load_data
+from tom.analysis.ordered_data import OrderedData, find_run, load_data
 from tom.config import ModelConfig, OnlineConfig, RunConfig, TomConfig
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
@@ -90,7 +90,7 @@ def load_policy(name: str, store: Store, task: Task, step: int | None = None) ->
             f"--step {step} is a step of a run, and policy {name} is not one: name a run"
         )
     if is_foreign(name):
-        return foreign_policy(name, task.obs_dim, action_bounds(task), task.own_obs)
+        return foreign_policy(name, task)
     path = Path(name)
     if run is not None:
         if not run.has_policy(step):

@@ -7,6 +7,7 @@ code that the user chose: only `describe` imports it, never a reader of runs.
 import os
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib.metadata import version
 from itertools import chain
 from math import prod
@@ -87,6 +88,10 @@ class GymnasiumTask(Task):
         names += "action_dim", "obs_names", "max_episode_steps", "nq", "root_dims", "knows_ends"
         names += ("rewards",)
         return {name: getattr(self, name) for name in names}
+
+    @cached_property
+    def action_bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        return np.array(self.action_low, np.float32), np.array(self.action_high, np.float32)
 
     @property
     def obs_units(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -6,13 +6,16 @@ Agents act in [-1, 1]; `make` rescales to the task's own control range. Nothing 
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 from typing import ClassVar
 
 import gymnasium as gym
 import mujoco
 import numpy as np
+from gymnasium.spaces import Box
 from gymnasium.wrappers import RescaleAction
+from numpy.typing import NDArray
 
 from tom.envs import termination
 from tom.envs.task import Task
@@ -47,6 +50,12 @@ class MujocoTask(Task):
             env.reset(seed=seed)
             env.action_space.seed(seed)
         return env
+
+    @cached_property
+    def action_bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        space = self.make().unwrapped.action_space
+        assert isinstance(space, Box)
+        return space.low, space.high
 
 
 def log_warnings() -> None:
