@@ -27,8 +27,8 @@ class OrderedData:
     `policy_version` (N,) says which policy collected each row. If that is not known, every row has
     a version of its own, as in SAC, which changes after every step. `behaviour` (N, 2 A) is the
     Gaussian of each action (`ReplayBuffer.behaviour`), None if nobody says. `initial_obs` (M0, O)
-    are the first observations of the episodes; `card` is that of the ordered rows. `stored`: the
-    rows belong to the run `name` in the store, those before row `end` of its record.
+    are the first observations of the episodes; `card` is that of the ordered rows. `run`: the rows
+    are those before row `end` of its record; None for other data.
     """
 
     name: str
@@ -39,7 +39,7 @@ class OrderedData:
     card: Card
     ordered_from: int  # rows before it are random data
     end: int
-    stored: bool = False
+    run: RunReader | None = None
     policy_distance: NDArray[np.float32] | None = None
     """(N,) to the policy of interest (`tom.policy.stored.distances`), once there is one"""
     behaviour: Tensor | None = None
@@ -166,8 +166,6 @@ def load_run(run: RunReader, step: int | None = None) -> OrderedData:
     _check_dims(run.run_id, rows, known)
     settings = run.config.get("config", {})
     random_rows = int(settings.get("exploration_steps" if run.fits_model else "steps", 0))
-    if not run.is_run:
-        random_rows = int(run.config.get("ordered_from", 0))
     kept = slice(None)
     if step is not None:
         profiles = run.profiles()
@@ -195,7 +193,7 @@ def load_run(run: RunReader, step: int | None = None) -> OrderedData:
         card=card,
         ordered_from=first,
         end=(kept.start or 0) + len(rows),
-        stored=run.is_run,  # a weighing's folder also holds rows
+        run=run if run.is_run else None,  # a weighing's folder also holds rows
         behaviour=torch.from_numpy(behaviour) if np.isfinite(behaviour).any() else None,
     )
 

@@ -267,7 +267,7 @@ def plan_weighing(
     rows = _load_data(data, policy, store, env, step)
     known = task(rows.env)
     preset = preset or (EXACT if step is None else OWN)
-    usual = _preset_config(preset, data, store, rows.env)
+    usual = _preset_config(preset, rows)
     config = usual.but(**settings)
     before, now = (in_words(one.model_dump(include=setting_groups())) for one in (usual, config))
     for seed in seeds:
@@ -338,19 +338,19 @@ def _load_data(
     return data
 
 
-def _preset_config(preset: str, data: str, store: Store, env: str) -> RunConfig:
+def _preset_config(preset: str, data: OrderedData) -> RunConfig:
     """The settings of every learner that `preset` stands for."""
     check_known("preset", [preset], PRESETS)
     if preset == EXACT:
-        return settings_type()(env=env, learner="tom", tom=TomConfig.preset(EXACT))
+        return settings_type()(env=data.env, learner="tom", tom=TomConfig.preset(EXACT))
     if preset == OWN:
-        if (run := find_run(data, store)) is None:
+        if data.run is None:
             raise UserError(
-                f"{data} is not a run, so it has no settings: --preset exact, paper or mended"
+                f"{data.name} is not a run, so it has no settings: --preset exact, paper or mended"
             )
-        source = recorded_config(run, "name --preset exact, paper or mended")
+        source = recorded_config(data.run, "name --preset exact, paper or mended")
     else:
-        source = presets.resolve(env, "tom", preset)
+        source = presets.resolve(data.env, "tom", preset)
     own = {group: getattr(source, group) for group in setting_groups() if hasattr(source, group)}
     return settings_type()(env=source.env, learner="tom", **own)
 

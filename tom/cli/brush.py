@@ -18,6 +18,7 @@ from tom.cli.parser import add_json, add_store
 from tom.data.unpack import DAMAGE
 from tom.envs import scene, task
 from tom.errors import UserError, reason
+from tom.frames import Run
 from tom.machine.matmul import choose_matmul
 from tom.readable import whole
 from tom.record import RunReader, Store, layout
@@ -141,13 +142,7 @@ def _weights(
 ) -> NDArray[np.float32]:
     """The weights in a column of a weighing, or those of the run at `step`."""
     if weighing is None:
-        steps = reader.snapshot_steps()
-        if step not in steps:
-            advice = ", ".join(map(str, steps)) or "none"
-            raise UserError(
-                f"run {reader.run_id} kept no weights of step {step}; it kept: {advice}"
-            )
-        return reader.snapshot(step)["weight"].to_numpy(np.float32)
+        return Run(reader).weights(step)["weight"].to_numpy(np.float32)
     place, _, column = weighing.rpartition(":")
     path = Path(place) if "/" in place else store.beside(layout.WEIGHINGS) / place
     try:

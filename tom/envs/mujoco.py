@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import ClassVar
 
 import gymnasium as gym
 import mujoco
@@ -34,9 +33,6 @@ class MujocoTask(Task):
     gym_id: str
     kwargs: Mapping[str, bool] = field(default_factory=lambda: MappingProxyType({}))
 
-    action_low: ClassVar[float] = -1.0
-    action_high: ClassVar[float] = 1.0
-
     def make(self, seed: int | None = None) -> gym.Env[np.ndarray, np.ndarray]:
         log_warnings()
         env = gym.make(
@@ -45,7 +41,7 @@ class MujocoTask(Task):
             disable_env_checker=True,
             **self.kwargs,
         )
-        env = RescaleAction(env, np.float32(self.action_low), np.float32(self.action_high))
+        env = RescaleAction(env, np.float32(-1), np.float32(1))
         if seed is not None:
             env.reset(seed=seed)
             env.action_space.seed(seed)
