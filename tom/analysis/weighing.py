@@ -100,15 +100,11 @@ def load_policy(name: str, store: Store, task: Task, step: int | None = None) ->
             raise UserError(f"run {run.run_id} kept no policy of {of}: {advice}")
         path = run.path / (NAME if step is None else layout.policy(step))
     policy = read_policy(path)
-    dims = policy.obs_dim, policy.action_dim
-    if dims != (task.obs_dim, task.action_dim):
+    of, own = ((x.obs_dim, x.action_dim) for x in (policy, task))
+    if (policy.env, of) != (task.name, own):
         raise UserError(
-            f"policy {name} maps {dims[0]} observations to {dims[1]} actions, {task.name} has "
-            f"{task.obs_dim} and {task.action_dim}: name a policy of that task"
-        )
-    if policy.env != task.name:  # dimensions alone do not tell Walker2d from HalfCheetah
-        raise UserError(
-            f"policy {name} is of {policy.env}, not of {task.name}: name a policy of {task.name}"
+            f"policy {name} is of {policy.env}, not of {task.name} ({of[0]} observations and "
+            f"{of[1]} actions, not {own[0]} and {own[1]}): name a policy of {task.name}"
         )
     return policy
 

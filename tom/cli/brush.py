@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tom.analysis import brush
 from tom.analysis.brush import FACTORS, SMALL, BrushedFit
+from tom.analysis.imagine import imagine, joint_positions
 from tom.analysis.ordered_data import OrderedData, find_run, load_run
 from tom.analysis.weighing import collect_footprint, load_policy
 from tom.cli.output import print_result
@@ -168,6 +169,8 @@ def _ghosts(reader: RunReader, fitted: list[BrushedFit], step: int) -> dict[str,
         return {}
     models = {one.factor: one.model for one in fitted if one.seed == fitted[0].seed}
     dt = scene.model(reader.env).dt
-    predicted = brush.ghosts(known, longest, models, dt, HORIZON)
-    named = {f"x{factor:g}": qpos for factor, qpos in predicted.items()}
-    return {"real": np.asarray(longest.qpos, np.float32), "dt": np.array(dt), **named}
+    found = {"real": np.asarray(longest.qpos, np.float32), "dt": np.array(dt)}
+    for factor, model in models.items():
+        obs = imagine(model, longest, HORIZON).obs
+        found[f"x{factor:g}"] = joint_positions(known, longest, obs, dt, HORIZON)
+    return found
