@@ -139,7 +139,7 @@ def _make_env(gym_id: str, name: str) -> gym.Env:
         elif of_dm and isinstance(error, AttributeError):  # it reads what MuJoCo no longer has
             advice = f"; dm_control does not know MuJoCo {version('mujoco')}: see docs/tasks.md"
         elif isinstance(error, gym.error.UnregisteredEnv):  # in this process
-            advice = '; if code of yours registers it, name the module too: env "module:Id"'
+            advice = ' If code of yours registers it, name its module too: env="module:Id"'
         raise UserError(f"task '{name}' cannot be made: {reason(error)}{advice}") from error
     return FlattenObservation(made) if _named_arrays(made, gym_id) else made
 
