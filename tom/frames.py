@@ -288,10 +288,9 @@ def weigh(
     report = weighing_files.report(plan, weighed, str(policy), step, command, hours)
     weights = pd.DataFrame({f"{one.learner}-s{one.seed}": one.weights for one in weighed})
     rows = plan.data.transitions.numpy()
-    run = find_run(str(data), Store(Path(store))) if plan.data.stored else None
     return Weighing(
-        report, weights, rows, plan.known.obs_names, plan.data.policy_distance, run,
-        (plan.data, weighed),
+        report, weights, rows, plan.known.obs_names, plan.data.policy_distance,
+        plan.data.run, (plan.data, weighed),
     )  # fmt: skip
 
 

@@ -80,7 +80,7 @@ def weight_profile(
             width=100 / len(bins),
             marker={"color": learner_colour(learner), "line": {"width": 0}},
             name=text.plotly(learner_label(learner)),
-            hovertemplate=f"{AT_AGE}<br>weight %{{y:.3g}} ({FLOOR:g}: or less)<extra></extra>",
+            hovertemplate=WEIGHT_AT,
         )
     )
     # Plotly leaves out a label that does not fit: "oldest", left of an axis with short labels.
@@ -93,13 +93,15 @@ def weight_profile(
 def on_log_axis(figure: go.Figure, top: float = 1.0) -> go.Figure:
     """Put weights on a log axis that begins at FLOOR; smaller weights and zero are drawn there.
 
-    It ends above `top` and above every weight. The hover numbers (`customdata`) are unchanged.
+    It ends above `top` and above every weight. The weights themselves are in `customdata`, for
+    hovering and for a saved table (`app/parts/plot/plot.js`, which finds FLOOR in `meta`).
     """
     traces: list[Any] = list(figure.data)
     for trace in traces:
-        trace.update(y=np.maximum(np.asarray(trace.y, np.float64), FLOOR))
+        weights = np.asarray(trace.y, np.float64)
+        trace.update(y=np.maximum(weights, FLOOR), customdata=weights)
     top = max([top, *(float(np.max(trace.y)) for trace in traces)])
-    return figure.update_yaxes(
+    return figure.update_layout(meta={"floor": FLOOR}).update_yaxes(
         type="log",
         rangemode="normal",
         range=[np.log10(FLOOR) - 0.1, np.log10(max(top, 1.0)) + 0.15],
@@ -124,7 +126,7 @@ def median_profiles(
             figure.add_trace(band(x, values.min(0), values.max(0), colour, name, opacity=0.15))
         seeds = f"{len(values)} seed{'s' * (len(values) > 1)}"
         more: dict[str, Any] = {"name": f"{name} ({seeds})", "meta": text.plotly(learner)}
-        more |= {"legendgroup": name, "shape": "hvh", "customdata": median}
+        more |= {"legendgroup": name, "shape": "hvh"}
         figure.add_trace(line(x, median, colour, 2, f"{name}<br>{WEIGHT_AT}", **more))
     marks = [horizontal_line(1, 1.5, "dash")] + [vertical_line(100 * random, 1, "dot")] * (
         random > 0

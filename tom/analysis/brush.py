@@ -6,7 +6,7 @@ initial parameters and with the same random draws; every learner's are clipped f
 are in a training. Both are tested on held-out episodes.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from math import inf, nan
 
@@ -15,15 +15,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tom.analysis.imagine import Predictor, imagine, joint_positions
 from tom.analysis.weighing import fit_model
 from tom.config import ModelConfig
 from tom.data.sampling import held_out_rows, normalise
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.base import DynamicsModel
-from tom.envs import Task
 from tom.errors import UserError
-from tom.events import Episode
 from tom.exams.diagnostics import one_step_error, step_scale
 from tom.learners.base import Weighting
 from tom.rng import Streams
@@ -110,20 +107,3 @@ def fit_brushed(
                 for name, some in judged.items()
             }
             yield BrushedFit(factor, seed, of_all.numpy(), errors, model)
-
-
-def ghosts(
-    known: Task,
-    episode: Episode,
-    models: Mapping[float, Predictor],
-    dt: float,
-    horizon: int,
-) -> dict[float, NDArray[np.float32]]:
-    """An episode as each factor's model predicts it: joint positions (H + 1, nq).
-
-    Predictions start again from the real state every `horizon` steps.
-    """
-    return {
-        factor: joint_positions(known, episode, imagine(model, episode, horizon).obs, dt, horizon)
-        for factor, model in models.items()
-    }

@@ -5,14 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from gymnasium.spaces import Box
 from numpy.typing import NDArray
 from torch import Tensor
 
 from tom.data.card import Card, make_card, with_rule
 from tom.data.datasets import initial_obs, read_dataset, where_else
 from tom.data.transitions import TensorTransitions, Transitions
-from tom.envs import ENVS, ROAD, GymnasiumTask, Task, task
+from tom.envs import ENVS, ROAD, Task, task
 from tom.errors import UserError
 from tom.record import RunReader, Store, layout
 from tom.record.task_record import changed
@@ -28,8 +27,8 @@ class OrderedData:
     `policy_version` (N,) says which policy collected each row. If that is not known, every row has
     a version of its own, as in SAC, which changes after every step. `behaviour` (N, 2 A) is the
     Gaussian of each action (`ReplayBuffer.behaviour`), None if nobody says. `initial_obs` (M0, O)
-    are the first observations of the episodes; `card` is that of the ordered rows. `stored`: the
-    rows belong to the run `name` in the store, those before row `end` of its record.
+    are the first observations of the episodes; `card` is that of the ordered rows. `run`: the rows
+    are those before row `end` of its record; None for other data.
     """
 
     name: str
@@ -40,7 +39,7 @@ class OrderedData:
     card: Card
     ordered_from: int  # rows before it are random data
     end: int
-    stored: bool = False
+    run: RunReader | None = None
     policy_distance: NDArray[np.float32] | None = None
     """(N,) to the policy of interest (`tom.policy.stored.distances`), once there is one"""
     behaviour: Tensor | None = None
@@ -85,7 +84,7 @@ def _load_dataset(name: str, env: str) -> OrderedData:
     recording = read_dataset(name)
     rows, version, behaviour = recording.rows, recording.policy_version, recording.behaviour
     _check_dims(name, rows, known)
-    action, (low, high) = np.asarray(rows.action), action_bounds(known)
+    action, (low, high) = np.asarray(rows.action), known.action_bounds
     slack = SLACK * (high - low)
     outside = (action < low - slack) | (action > high + slack)
     if outside.any():
@@ -98,7 +97,7 @@ def _load_dataset(name: str, env: str) -> OrderedData:
         )
     rows = replace(
         rows,
-        action=to_unit_range(action, known),
+        action=known.unit_action(action),
         obs=known.unit_obs(np.asarray(rows.obs)),
         next_obs=known.unit_obs(np.asarray(rows.next_obs)),
     ).torch()
@@ -124,7 +123,7 @@ def with_task(card: Card, task: Task, rows: Transitions) -> Card:
         card,
         task=task.name,
         limit=task.max_episode_steps,
-        bounds=action_bounds(task),
+        bounds=task.action_bounds,
         seen=card.obs.moved(-offset / scale, 1 / scale),
         others=task.notices,
     )
@@ -135,7 +134,7 @@ def with_task(card: Card, task: Task, rows: Transitions) -> Card:
 
 def card_of_run(rows: Transitions, task: Task) -> Card:
     """The card of rows that a run collected, in the task's own units."""
-    low, high = (bound.astype(np.float64) for bound in action_bounds(task))
+    low, high = (bound.astype(np.float64) for bound in task.action_bounds)
     card = make_card(rows)
     units = task.obs_units
     card = replace(
@@ -167,8 +166,6 @@ def load_run(run: RunReader, step: int | None = None) -> OrderedData:
     _check_dims(run.run_id, rows, known)
     settings = run.config.get("config", {})
     random_rows = int(settings.get("exploration_steps" if run.fits_model else "steps", 0))
-    if not run.is_run:
-        random_rows = int(run.config.get("ordered_from", 0))
     kept = slice(None)
     if step is not None:
         profiles = run.profiles()
@@ -196,15 +193,9 @@ def load_run(run: RunReader, step: int | None = None) -> OrderedData:
         card=card,
         ordered_from=first,
         end=(kept.start or 0) + len(rows),
-        stored=run.is_run,  # a weighing's folder also holds rows
+        run=run if run.is_run else None,  # a weighing's folder also holds rows
         behaviour=torch.from_numpy(behaviour) if np.isfinite(behaviour).any() else None,
     )
-
-
-def to_unit_range(action: NDArray, task: Task) -> NDArray[np.float32]:
-    """Actions (N, A) in the task's own control range, rescaled to [-1, 1]."""
-    low, high = action_bounds(task)
-    return ((2 * action - (high + low)) / (high - low)).astype(np.float32)
 
 
 def to_env_units(run: RunReader, rows: Transitions) -> Transitions:
@@ -214,7 +205,7 @@ def to_env_units(run: RunReader, rows: Transitions) -> Transitions:
         names = ("action_low", "action_high", "obs_offset", "obs_scale")
         low, high, offset, scale = (np.array(described[name]) for name in names)
     else:
-        low, high = action_bounds(task(run.env))
+        low, high = task(run.env).action_bounds
         offset, scale = 0.0, 1.0
     obs, next_obs, action = map(np.asarray, (rows.obs, rows.next_obs, rows.action))
     return replace(
@@ -223,15 +214,6 @@ def to_env_units(run: RunReader, rows: Transitions) -> Transitions:
         next_obs=(next_obs * scale + offset).astype(np.float32),
         action=((action * (high - low) + (high + low)) / 2).astype(np.float32),
     )
-
-
-def action_bounds(task: Task) -> tuple[NDArray, NDArray]:
-    """The least and the largest action of a task, (A,) each, in its own units."""
-    if isinstance(task, GymnasiumTask):  # its wrappers may have changed the innermost bounds
-        return np.array(task.action_low, np.float32), np.array(task.action_high, np.float32)
-    space = task.make().unwrapped.action_space
-    assert isinstance(space, Box)
-    return space.low, space.high
 
 
 def find_run(name: str, store: Store) -> RunReader | None:

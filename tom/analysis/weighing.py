@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tom.analysis.ordered_data import OrderedData, action_bounds, find_run, load_data
+from tom.analysis.ordered_data import OrderedData, find_run, load_data
 from tom.config import ModelConfig, OnlineConfig, RunConfig, TomConfig
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
@@ -90,7 +90,7 @@ def load_policy(name: str, store: Store, task: Task, step: int | None = None) ->
             f"--step {step} is a step of a run, and policy {name} is not one: name a run"
         )
     if is_foreign(name):
-        return foreign_policy(name, task.obs_dim, action_bounds(task), task.own_obs)
+        return foreign_policy(name, task)
     path = Path(name)
     if run is not None:
         if not run.has_policy(step):
@@ -100,15 +100,11 @@ def load_policy(name: str, store: Store, task: Task, step: int | None = None) ->
             raise UserError(f"run {run.run_id} kept no policy of {of}: {advice}")
         path = run.path / (NAME if step is None else layout.policy(step))
     policy = read_policy(path)
-    dims = policy.obs_dim, policy.action_dim
-    if dims != (task.obs_dim, task.action_dim):
+    of, own = ((x.obs_dim, x.action_dim) for x in (policy, task))
+    if (policy.env, of) != (task.name, own):
         raise UserError(
-            f"policy {name} maps {dims[0]} observations to {dims[1]} actions, {task.name} has "
-            f"{task.obs_dim} and {task.action_dim}: name a policy of that task"
-        )
-    if policy.env != task.name:  # dimensions alone do not tell Walker2d from HalfCheetah
-        raise UserError(
-            f"policy {name} is of {policy.env}, not of {task.name}: name a policy of {task.name}"
+            f"policy {name} is of {policy.env}, not of {task.name} ({of[0]} observations and "
+            f"{of[1]} actions, not {own[0]} and {own[1]}): name a policy of {task.name}"
         )
     return policy
 
@@ -267,7 +263,7 @@ def plan_weighing(
     rows = _load_data(data, policy, store, env, step)
     known = task(rows.env)
     preset = preset or (EXACT if step is None else OWN)
-    usual = _preset_config(preset, data, store, rows.env)
+    usual = _preset_config(preset, rows)
     config = usual.but(**settings)
     before, now = (in_words(one.model_dump(include=setting_groups())) for one in (usual, config))
     for seed in seeds:
@@ -338,19 +334,19 @@ def _load_data(
     return data
 
 
-def _preset_config(preset: str, data: str, store: Store, env: str) -> RunConfig:
+def _preset_config(preset: str, data: OrderedData) -> RunConfig:
     """The settings of every learner that `preset` stands for."""
     check_known("preset", [preset], PRESETS)
     if preset == EXACT:
-        return settings_type()(env=env, learner="tom", tom=TomConfig.preset(EXACT))
+        return settings_type()(env=data.env, learner="tom", tom=TomConfig.preset(EXACT))
     if preset == OWN:
-        if (run := find_run(data, store)) is None:
+        if data.run is None:
             raise UserError(
-                f"{data} is not a run, so it has no settings: --preset exact, paper or mended"
+                f"{data.name} is not a run, so it has no settings: --preset exact, paper or mended"
             )
-        source = recorded_config(run, "name --preset exact, paper or mended")
+        source = recorded_config(data.run, "name --preset exact, paper or mended")
     else:
-        source = presets.resolve(env, "tom", preset)
+        source = presets.resolve(data.env, "tom", preset)
     own = {group: getattr(source, group) for group in setting_groups() if hasattr(source, group)}
     return settings_type()(env=source.env, learner="tom", **own)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tom.analysis import brush
 from tom.analysis.brush import FACTORS, SMALL, BrushedFit
+from tom.analysis.imagine import imagine, joint_positions
 from tom.analysis.ordered_data import OrderedData, find_run, load_run
 from tom.analysis.weighing import collect_footprint, load_policy
 from tom.cli.output import print_result
@@ -18,6 +19,7 @@ from tom.cli.parser import add_json, add_store
 from tom.data.unpack import DAMAGE
 from tom.envs import scene, task
 from tom.errors import UserError, reason
+from tom.frames import Run
 from tom.machine.matmul import choose_matmul
 from tom.readable import whole
 from tom.record import RunReader, Store, layout
@@ -141,13 +143,7 @@ def _weights(
 ) -> NDArray[np.float32]:
     """The weights in a column of a weighing, or those of the run at `step`."""
     if weighing is None:
-        steps = reader.snapshot_steps()
-        if step not in steps:
-            advice = ", ".join(map(str, steps)) or "none"
-            raise UserError(
-                f"run {reader.run_id} kept no weights of step {step}; it kept: {advice}"
-            )
-        return reader.snapshot(step)["weight"].to_numpy(np.float32)
+        return Run(reader).weights(step)["weight"].to_numpy(np.float32)
     place, _, column = weighing.rpartition(":")
     path = Path(place) if "/" in place else store.beside(layout.WEIGHINGS) / place
     try:
@@ -173,6 +169,8 @@ def _ghosts(reader: RunReader, fitted: list[BrushedFit], step: int) -> dict[str,
         return {}
     models = {one.factor: one.model for one in fitted if one.seed == fitted[0].seed}
     dt = scene.model(reader.env).dt
-    predicted = brush.ghosts(known, longest, models, dt, HORIZON)
-    named = {f"x{factor:g}": qpos for factor, qpos in predicted.items()}
-    return {"real": np.asarray(longest.qpos, np.float32), "dt": np.array(dt), **named}
+    found = {"real": np.asarray(longest.qpos, np.float32), "dt": np.array(dt)}
+    for factor, model in models.items():
+        obs = imagine(model, longest, HORIZON).obs
+        found[f"x{factor:g}"] = joint_positions(known, longest, obs, dt, HORIZON)
+    return found

@@ -42,7 +42,7 @@ COLLECTED_BY = (
     "policies that collected DATA, one for each policy_version above 0 in order, or one for all; "
     "for learners that need them if DATA lacks the columns behaviour_mean and behaviour_log_std"
 )
-SETTINGS = ("tom.", "pmac.", "vagram.", "threads", "matmul")
+SETTINGS = ("threads", "matmul")
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:

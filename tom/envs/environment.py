@@ -10,7 +10,6 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 from gymnasium.envs.mujoco import MujocoEnv
-from gymnasium.wrappers import OrderEnforcing, RescaleAction, TimeLimit
 from numpy.typing import NDArray
 
 from tom.envs.user_code import running_user_code
@@ -196,8 +195,6 @@ def _simulator(env: gym.Env) -> MujocoEnv:
 def _wrappers(env: gym.Env) -> list[gym.Wrapper]:
     wrappers: list[gym.Wrapper] = []
     while isinstance(env, gym.Wrapper):
-        if not isinstance(env, TimeLimit | OrderEnforcing | RescaleAction):
-            raise TypeError(f"the state of {type(env).__name__} cannot be captured")
         wrappers.append(env)
         env = env.env
     return wrappers

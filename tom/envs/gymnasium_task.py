@@ -7,6 +7,7 @@ code that the user chose: only `describe` imports it, never a reader of runs.
 import os
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib.metadata import version
 from itertools import chain
 from math import prod
@@ -88,6 +89,10 @@ class GymnasiumTask(Task):
         names += ("rewards",)
         return {name: getattr(self, name) for name in names}
 
+    @cached_property
+    def action_bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        return np.array(self.action_low, np.float32), np.array(self.action_high, np.float32)
+
     @property
     def obs_units(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return np.array(self.obs_offset), np.array(self.obs_scale)
@@ -133,6 +138,8 @@ def _make_env(gym_id: str, name: str) -> gym.Env:
             advice = "; pip install 'shimmy[dm-control]' and write shimmy:dm_control/..."
         elif of_dm and isinstance(error, AttributeError):  # it reads what MuJoCo no longer has
             advice = f"; dm_control does not know MuJoCo {version('mujoco')}: see docs/tasks.md"
+        elif isinstance(error, gym.error.UnregisteredEnv):  # in this process
+            advice = ' If code of yours registers it, name its module too: env="module:Id"'
         raise UserError(f"task '{name}' cannot be made: {reason(error)}{advice}") from error
     return FlattenObservation(made) if _named_arrays(made, gym_id) else made
 

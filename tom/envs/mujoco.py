@@ -6,13 +6,15 @@ Agents act in [-1, 1]; `make` rescales to the task's own control range. Nothing 
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
-from typing import ClassVar
 
 import gymnasium as gym
 import mujoco
 import numpy as np
+from gymnasium.spaces import Box
 from gymnasium.wrappers import RescaleAction
+from numpy.typing import NDArray
 
 from tom.envs import termination
 from tom.envs.task import Task
@@ -31,9 +33,6 @@ class MujocoTask(Task):
     gym_id: str
     kwargs: Mapping[str, bool] = field(default_factory=lambda: MappingProxyType({}))
 
-    action_low: ClassVar[float] = -1.0
-    action_high: ClassVar[float] = 1.0
-
     def make(self, seed: int | None = None) -> gym.Env[np.ndarray, np.ndarray]:
         log_warnings()
         env = gym.make(
@@ -42,11 +41,17 @@ class MujocoTask(Task):
             disable_env_checker=True,
             **self.kwargs,
         )
-        env = RescaleAction(env, np.float32(self.action_low), np.float32(self.action_high))
+        env = RescaleAction(env, np.float32(-1), np.float32(1))
         if seed is not None:
             env.reset(seed=seed)
             env.action_space.seed(seed)
         return env
+
+    @cached_property
+    def action_bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        space = self.make().unwrapped.action_space
+        assert isinstance(space, Box)
+        return space.low, space.high
 
 
 def log_warnings() -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -54,6 +55,16 @@ class Task:
     def described(self) -> dict[str, Any] | None:
         """The description for a run's `config.json`; None for a task of ours."""
         return None
+
+    @cached_property
+    def action_bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The least and the largest action, (A,) each, in the task's own units."""
+        raise NotImplementedError
+
+    def unit_action(self, action: NDArray) -> NDArray[np.float32]:
+        """Actions (..., A) in the task's own units, rescaled to [-1, 1]."""
+        low, high = (bound.astype(np.float64) for bound in self.action_bounds)
+        return ((2 * action - (high + low)) / (high - low)).astype(np.float32)
 
     @property
     def obs_units(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

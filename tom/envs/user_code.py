@@ -1,11 +1,14 @@
 """Code that the user named: its import and its errors."""
 
 import importlib
+import re
 import sys
 import sysconfig
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -54,18 +57,19 @@ def error_location(error: BaseException) -> str:
     return f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
 
 
-def import_named(module: str, option: str) -> ModuleType:
+def import_named(module: str, option: str, file: Path | None = None) -> ModuleType:
     """Import the module that the user named in `option`, also from the current folder.
 
-    The folder stays on the path: the module may import its neighbours later.
-    Raises UserError if it cannot be imported.
+    The folder stays on the path: the module may import its neighbours later. A `file` is a module
+    that lies anywhere. Raises UserError if it cannot be imported.
     """
     import torch
 
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)
     try:
-        register_module(module, found := importlib.import_module(module))
+        found = importlib.import_module(module) if file is None else _run_file(file)
+        register_module(module, found)
         torch.set_default_dtype(torch.float32)
     except ModuleNotFoundError as error:
         raise UserError(
@@ -77,6 +81,16 @@ def import_named(module: str, option: str) -> ModuleType:
             f"{type(error).__name__}: {reason(error)}{error_location(error)}"
         ) from error
     return found
+
+
+def _run_file(file: Path) -> ModuleType:
+    name = f"tom_plugin_{re.sub(r'[^A-Za-z0-9]', '_', file.stem)}"
+    loader = SourceFileLoader(name, str(file))
+    spec = spec_from_loader(name, loader)
+    assert spec is not None
+    module = sys.modules[name] = module_from_spec(spec)
+    loader.exec_module(module)
+    return module
 
 
 def import_function(name: str, option: str) -> Callable[..., Any]:

@@ -7,6 +7,7 @@
 statistics, and inside those that change observations, actions or rewards.
 """
 
+from copy import deepcopy
 from typing import Any
 
 import gymnasium as gym
@@ -26,13 +27,14 @@ class _Recorded:
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
         if "reset_mask" not in (options.get("options") or {}):  # else of some environments
             self.run.cut()
-        self._obs, info = self.env.reset(**options)
-        return self._obs, info
+        obs, info = self.env.reset(**options)
+        self._obs = deepcopy(obs)  # the environment may change its own in the next step
+        return obs, info
 
     def step(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         found = self.env.step(action)
         self.run.transitions(self._obs, action, found[1], found[0], *found[2:])
-        self._obs = found[0]
+        self._obs = deepcopy(found[0])
         return found
 
     def close(self, **options: Any) -> None:

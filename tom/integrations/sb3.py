@@ -52,8 +52,6 @@ def export_buffer(model: Any, path: str | Path) -> None:
             "the buffer does not tell cut episodes from ended ones: leave optimize_memory_usage "
             "and handle_timeout_termination at their defaults"
         )
-    if not buffer.size():
-        raise UserError("the replay buffer is empty: train for longer")
     kept = [_rows_of(model, buffer, env) for env in range(buffer.n_envs)]
     columns = {name: np.concatenate([of[name] for of in kept]) for name in kept[0]}
     np.savez(path, allow_pickle=False, **columns)

@@ -63,8 +63,15 @@ class LearnerEntry:
     own: type[Config] | None = None
 
 
-def _built(path: str, group: str | None = None, *, networks: bool = False) -> Build:
-    """Build the learner `module:Class` of this package from its group of settings, if it has one.
+def _ours(
+    label: str,
+    path: str,
+    colour: str,
+    group: str | None = None,
+    networks: bool = False,
+    **more: Any,
+) -> LearnerEntry:
+    """The learner `module:Class` of this package, built from its group of settings, if it has one.
 
     With `networks` it gets the dimensions and the generator as well.
     """
@@ -77,70 +84,55 @@ def _built(path: str, group: str | None = None, *, networks: bool = False) -> Bu
         rest = (obs_dim, action_dim, generator) if networks else ()
         return getattr(import_module(f"tom.learners.{module}"), name)(*settings, *rest)
 
-    return build
+    return LearnerEntry(label, build, colour, group, **more)
 
 
 # Colours: at least 3:1 against light and dark; any two differ by 14 or more (CIE 1976) under
 # normal, red-blind, green-blind and blue-blind vision. tests/app/test_theme.py measures both.
 LEARNERS: dict[str, LearnerEntry] = {
-    "mle": LearnerEntry("MLE", _built("mle:MleLearner"), "#2b6fe0", uniform=True),
-    "pmac": LearnerEntry("PMAC", _built("pmac:PmacLearner", "pmac"), "#0c8577", "pmac"),
-    "tom": LearnerEntry(
+    "mle": _ours("MLE", "mle:MleLearner", "#2b6fe0", uniform=True),
+    "pmac": _ours("PMAC", "pmac:PmacLearner", "#0c8577", "pmac"),
+    "tom": _ours(
         "TOM",
-        _built("tom:TomLearner", "tom", networks=True),
+        "tom:TomLearner",
         "#c8441c",
         "tom",
+        networks=True,
         has_terms=True,
         clipped=True,
         charts={
             "TOM: discriminator and dual Q": ("discriminator/loss", "dual/loss", "dual/q_mean")
         },
     ),
-    "ratio": LearnerEntry(
-        "Ratio", _built("ratio:RatioLearner", "tom", networks=True), "#849060", "tom", clipped=True
+    "ratio": _ours("Ratio", "ratio:RatioLearner", "#849060", "tom", networks=True, clipped=True),
+    "vagram": _ours(
+        "VaGram (MDN)", "vagram:VagramLearner", "#e056c0", "vagram", follows_value=True
     ),
-    "vagram": LearnerEntry(
-        "VaGram (MDN)",
-        _built("vagram:VagramLearner", "vagram"),
-        "#e056c0",
-        "vagram",
-        follows_value=True,
-    ),
-    "vagram-ensemble": LearnerEntry(
+    "vagram-ensemble": _ours(
         "VaGram (Ensemble)",
-        _built("vagram:VagramLearner", "vagram"),
+        "vagram:VagramLearner",
         "#bd8d12",
         "vagram",
         follows_value=True,
         settings={"model": {"kind": "mean-ensemble"}},
     ),
-    "pdml": LearnerEntry(
-        "PDML",
-        _built("pdml:PdmlLearner", "pdml"),
-        "#a824a8",
-        "pdml",
-        follows_behaviour=True,
-        own=PdmlConfig,
+    "pdml": _ours(
+        "PDML", "pdml:PdmlLearner", "#a824a8", "pdml", follows_behaviour=True, own=PdmlConfig
     ),
-    "policy-distance": LearnerEntry(
+    "policy-distance": _ours(
         "Policy distance",
-        _built("policy_distance:PolicyDistanceLearner", "policy_distance"),
+        "policy_distance:PolicyDistanceLearner",
         "#9030fc",
         "policy_distance",
         follows_behaviour=True,
         own=PolicyDistanceConfig,
     ),
-    "pmer": LearnerEntry(
-        "PMER",
-        _built("pmer:PmerLearner", "pmer"),
-        "#a89048",
-        "pmer",
-        follows_model=True,
-        own=PmerConfig,
+    "pmer": _ours(
+        "PMER", "pmer:PmerLearner", "#a89048", "pmer", follows_model=True, own=PmerConfig
     ),
-    "action-ratio": LearnerEntry(
+    "action-ratio": _ours(
         "Action ratio",
-        _built("action_ratio:ActionRatioLearner", "action_ratio"),
+        "action_ratio:ActionRatioLearner",
         "#f04890",
         "action_ratio",
         follows_behaviour=True,

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import relu
 
-from tom.analysis.ordered_data import action_bounds
 from tom.envs import Task
 from tom.errors import UserError
 from tom.nn.mlp import StackedMLP
@@ -72,10 +71,7 @@ class PolicyCopier:
             raise UserError(
                 "policy: hand in some transitions first, whose observations it is asked about"
             )
-        bounds, own_obs = action_bounds(self._task), self._task.own_obs
-        foreign = ForeignPolicy(
-            "of run.policy", _as_function(policy), self._task.obs_dim, bounds, own_obs
-        )
+        foreign = ForeignPolicy("of run.policy", _as_function(policy), self._task)
         seen = torch.from_numpy(obs[:: max(len(obs) // MAX_OBSERVATIONS, 1)]).float()
         generator = torch.Generator().manual_seed(0)
         drawn = torch.atanh(foreign(seen, DRAWS, generator).clamp(-0.999, 0.999))

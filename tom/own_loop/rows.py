@@ -7,7 +7,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tom.analysis.ordered_data import action_bounds
 from tom.data.transitions import Transitions
 from tom.envs import Task
 from tom.errors import UserError
@@ -46,8 +45,6 @@ class Rows:
         """`handed` rows were handed in before; those with `numbers` (N,) are in the record."""
         self.handed, self.envs, self._autoreset = handed, envs, autoreset
         self._known, self._recorded = known, [numbers]
-        low, high = (bound.astype(np.float64) for bound in action_bounds(known))
-        self._centre, self._half = (low + high) / 2, (high - low) / 2
         obs, action = (known.obs_dim,), (known.action_dim,)
         self._shapes: dict[str, tuple[int, ...]] = {"obs": obs, "action": action, "next_obs": obs}
         self._one_by_one = envs == 1 and autoreset is None
@@ -177,13 +174,9 @@ class Rows:
         """Copies of the columns, as agents see them."""
         obs, action, reward, next_obs, terminated, truncated = columns
         return [
-            self._known.unit_obs(obs), self.unit_action(action), reward.astype(np.float32),
+            self._known.unit_obs(obs), self._known.unit_action(action), reward.astype(np.float32),
             self._known.unit_obs(next_obs), terminated.copy(), truncated.copy(),
         ]  # fmt: skip
-
-    def unit_action(self, action: NDArray) -> NDArray[np.float32]:
-        """Actions (..., A) in the task's own units, in [-1, 1]."""
-        return ((action - self._centre) / self._half).astype(np.float32)
 
     def _checked(self, step: tuple[Any, ...]) -> Columns:
         """The columns with axes (T, E, ...). Raises UserError, ValueError or TypeError."""

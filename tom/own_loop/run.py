@@ -272,7 +272,7 @@ class OwnRun:
                 qpos, qvel = known.qpos_from_obs(obs), obs[:, known.nq - known.root_dims :]
         action = np.full((h, known.action_dim), np.nan, np.float32)
         if actions is not None:
-            action = self._rows.unit_action(np.asarray(actions, np.float64))
+            action = known.unit_action(np.asarray(actions, np.float64))
             shapes["actions"] = action, (h, known.action_dim)
         for name, (array, shape) in shapes.items():
             if array.shape != shape or not h:

@@ -8,10 +8,8 @@ needs; nothing is ever imported because a run names it.
 Where there are none, loading them imports none of our registries, which take seconds.
 """
 
-import importlib.util
 import json
 import os
-import re
 import sys
 from collections.abc import Sequence
 from importlib.metadata import entry_points
@@ -120,27 +118,12 @@ def _load(word: str) -> None:
     """Load a module or a file. Raises UserError."""
     if word in _LOADED or (word in _LOADED.values() and not _is_file(word)):
         return
-    from tom.envs.user_code import import_named, register_module
+    from tom.envs.user_code import import_named
 
-    if not _is_file(word):
-        _register(getattr(import_named(word, f"{OPTION} {word}"), "register", None), word)
-        _LOADED[word] = word
-        return
-    path = Path(word)
-    name = f"tom_plugin_{re.sub(r'[^A-Za-z0-9]', '_', path.stem)}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if not path.is_file() or spec is None or spec.loader is None:
-        raise UserError(f"{OPTION} {path}: there is no such Python file")
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-    except USER_CODE_ERRORS as error:  # the user's own code
-        raise UserError(_failure(word, error)) from error
-    register_module(word, module)
-    if torch := sys.modules.get("torch"):
-        torch.set_default_dtype(torch.float32)  # or all of our tensors would have its type
-    _register(getattr(module, "register", None), path.name)
-    _LOADED[word] = path.name
+    module = import_named(word, f"{OPTION} {word}", Path(word) if _is_file(word) else None)
+    name = Path(word).name if _is_file(word) else word
+    _register(getattr(module, "register", None), name)
+    _LOADED[word] = name
 
 
 def _register(register: object, name: str) -> None:
@@ -153,8 +136,4 @@ def _register(register: object, name: str) -> None:
     except UserError:
         raise
     except USER_CODE_ERRORS as error:
-        raise UserError(_failure(name, error)) from error
-
-
-def _failure(name: str, error: BaseException) -> str:
-    return f"plug-in {name} fails: {type(error).__name__}: {reason(error)}"
+        raise UserError(f"plug-in {name} fails: {type(error).__name__}: {reason(error)}") from error

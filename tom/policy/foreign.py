@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import relu
 
 from tom.data.card import PolicyFacts, Range
 from tom.data.transitions import TensorTransitions
+from tom.envs.task import Task
 from tom.envs.user_code import error_location, import_function
 from tom.errors import USER_CODE_ERRORS, UserError, reason
 from tom.nn.mlp import StackedMLP
@@ -40,9 +40,6 @@ LR = 3e-3
 WEIGHT_DECAY = 1e-3
 MIN_STD = 1e-2
 
-Bounds = tuple[NDArray[np.float32], NDArray[np.float32]]
-"""the least and the largest action of a task, (A,) each, in its own units"""
-
 
 def is_foreign(name: str) -> bool:
     """Whether `name` is that of a TorchScript or ONNX file, or of a function."""
@@ -57,24 +54,16 @@ class ForeignPolicy:
 
     value_gradient = None
 
-    def __init__(
-        self,
-        name: str,
-        ask: Callable[[Tensor], Any],
-        obs_dim: int,
-        bounds: Bounds,
-        own_obs: Callable[[NDArray], NDArray] = np.asarray,
-    ) -> None:
+    def __init__(self, name: str, ask: Callable[[Tensor], Any], task: Task) -> None:
         """Tests it on two observations. Raises UserError if the output is not that of a policy.
 
-        `own_obs` converts observations (B, O) to the task's own units, in which `ask` gets them, in
-        double precision.
+        `ask` gets observations (B, O) in the task's own units, in double precision.
         """
-        self.name, self.obs_dim, self.action_dim = name, obs_dim, len(bounds[0])
-        self._ask, self._own_obs = ask, own_obs
-        self._low, self._high = (torch.as_tensor(bound, dtype=torch.float32) for bound in bounds)
+        self.name, self.obs_dim, self.action_dim = name, task.obs_dim, task.action_dim
+        self._ask, self._own_obs = ask, task.own_obs
+        self._low, self._high = map(torch.as_tensor, task.action_bounds)
         self._drawn = False
-        obs = torch.zeros(2, obs_dim)
+        obs = torch.zeros(2, self.obs_dim)
         first, again = (self._answer(obs, torch.Generator().manual_seed(seed)) for seed in range(2))
         # A mean is the same at each call: what is drawn anew is an action.
         self._drawn = len(first) == 2 and not torch.equal(first[0], again[0])
@@ -172,17 +161,15 @@ def _error_reason(error: BaseException) -> str:
     return lines[-1][:200] if lines and lines[0].endswith(INTERPRETER) else reason(error)
 
 
-def foreign_policy(
-    name: str, obs_dim: int, bounds: Bounds, own_obs: Callable[[NDArray], NDArray] = np.asarray
-) -> ForeignPolicy:
-    """The policy `name` (`is_foreign`) for a task of these dimensions. Raises UserError."""
+def foreign_policy(name: str, task: Task) -> ForeignPolicy:
+    """The policy `name` (`is_foreign`) for a task of its dimensions. Raises UserError."""
     if _is_function(name):
         ask = _function(name)
     elif Path(name).is_file():
         ask = (_onnx if Path(name).suffix == ONNX else _torchscript)(name)
     else:
         raise UserError(f"no policy at {name}: name a file that is there")
-    return ForeignPolicy(name, ask, obs_dim, bounds, own_obs)
+    return ForeignPolicy(name, ask, task)
 
 
 def _is_function(name: str) -> bool:

@@ -199,10 +199,10 @@ def report(
         "data": data.name,
         "env": data.env,
         "rows": len(data),
-        "end": data.end if data.stored else len(data),
+        "end": len(data) if data.run is None else data.end,
         "card": card(data.card, weighed).described(),
         "ordered_from": data.ordered_from,
-        **({} if data.stored else {ROWS: rows_digest(data)}),
+        **({ROWS: rows_digest(data)} if data.run is None else {}),
         "results": [
             {
                 "learner": one.learner,
@@ -260,7 +260,7 @@ def write(
     with _unfinished(out) as folder:
         write_weights(folder / WEIGHTS, weighed, data.policy_distance)
         write_csv(folder / PROFILE, profile_rows(weighed, bins))
-        if not data.stored:
+        if data.run is None:
             rows, version = data.transitions.numpy(), data.policy_version.numpy()
             behaviour = None if data.behaviour is None else data.behaviour.numpy()
             width = 4 * (2 * np.shape(rows.obs)[1] + np.shape(rows.action)[1] + 5)

@@ -125,7 +125,7 @@ function titleOf({ layout }, id) {
 function csv(plot) {
   const worded = (value) => (typeof value === "string" ? plain(value) : value);
   const quoted = (value) => (/[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : value);
-  const { y: named, groups } = plot.layout.meta ?? {};
+  const { y: named, groups, floor } = plot.layout.meta ?? {};
   const drawn = drawnTraces(plot).filter(({ name }) => name !== "core");
   const titles = drawn.map(({ xaxis, yaxis }) => [titleOf(plot, xaxis) || "x", titleOf(plot, yaxis) || named || "y"]);
   // Where panels have unlike axes, each line says what its numbers are.
@@ -134,7 +134,8 @@ function csv(plot) {
   const both = drawn.some(({ error_y }) => error_y?.array);
   const head = ["line", "group", "preset", ...(unlike ? ["x is", "y is"] : []), ...axes, "value", "low", "high", ...(both ? [`${axes[1]}, low`, `${axes[1]}, high`] : [])];
   const rows = drawn.flatMap((trace, t) => {
-    const { name, x, y, z, customdata, text } = trace;
+    const { name, x, z, customdata, text } = trace;
+    const y = floor ? customdata : trace.y; // smaller numbers are drawn at the floor
     const of = [...(groups?.[trace.legendgroup] ?? ["", ""]), ...(unlike ? titles[t] : [])];
     if (z) return [...(customdata ?? z)].flatMap((row, j) => [...row].map((value, i) => [name, ...of, x[i], y[j], value, "", ""]));
     // A band goes along its upper edge, and back along the lower one.
@@ -331,9 +332,10 @@ function follow(plot, step) {
   const at = Math.max(steps.filter((own) => own <= step).length - 1, 0);
   if (at === plot.frame) return;
   plot.frame = at;
-  const values = trace[at];
-  Object.assign(plot.data[0], Array.isArray(values) ? { y: values } : values);
-  if (!moveBars(plot, values)) return window.Plotly.redraw(plot);
+  const values = trace[at], { floor } = plot.layout.meta ?? {};
+  const y = Array.isArray(values) && floor ? values.map((value) => Math.max(value, floor)) : values;
+  Object.assign(plot.data[0], Array.isArray(values) ? { y, customdata: values } : values);
+  if (!moveBars(plot, y)) return window.Plotly.redraw(plot);
   // What hovering shows comes with a whole drawing, once nothing has moved for a moment.
   clearTimeout(plot.later);
   plot.later = setTimeout(() => plot.isConnected && plot.wired && window.Plotly.redraw(plot), 400);

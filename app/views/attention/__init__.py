@@ -14,7 +14,7 @@ from app.data.exams import at_fit
 from app.data.run_names import distinct_names, full_names
 from app.data.weighings import Dataset
 from app.figures.road import cells, road_map
-from app.figures.weights import FLOOR, over_fits, weight_profile
+from app.figures.weights import over_fits, weight_profile
 from app.parts import address, timeline, widgets
 from app.parts.map import SELECTOR
 from app.parts.plot import FigureJson, Follow, Point, chart
@@ -257,9 +257,9 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
             return FigureJson.of(figure)
 
         figure = get_or_make(("profile", run.path, fit), run.version("profiles"), profile_figure)
-        finite = np.maximum(np.nan_to_num(profiles.bins), FLOOR)  # JSON has no NaN
+        finite = np.nan_to_num(profiles.bins)  # JSON has no NaN
         follow = Follow(
-            steps=fits, trace=np.where(finite < 1, finite.round(4), finite.round(2)).tolist()
+            steps=fits, trace=np.where(finite < 1, finite.round(6), finite.round(2)).tolist()
         )
         label = "mean weight, oldest to newest transitions"
         chart(figure, "profile", label, follow=follow, after=SELECTOR)

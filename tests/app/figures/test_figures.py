@@ -123,6 +123,7 @@ def test_profiles_on_a_log_axis_end_at_a_hundredth_of_uniform() -> None:
     band, line = traces(median_profiles({"tom": values}, 0, 300))
     assert band.y.tolist() == [0.01, 1, 4, 1, 1, 2, 0.01, 0.01]
     assert line.y.tolist() == [0.01, 0.5, 3, 1]
+    assert band.customdata.tolist() == [0, 1, 4, 1, 1, 2, 0, 0]  # the weights themselves
     assert line.customdata.tolist() == [0, 0.5, 3, 1]
 
 

@@ -23,7 +23,7 @@ from app.figures.curves import GAP, Axes, group_curves, label_ends, spread_apart
 from app.figures.exams import footprint_error_return
 from app.figures.paper import KINDS, SYMBOLS, WIDTHS, paper_figure
 from app.figures.statistics import improvement
-from app.figures.weights import over_fits
+from app.figures.weights import median_profiles, over_fits
 from app.figures.why import waterfall
 from tom.analysis.curves import Curve, Group, aggregate
 from tom.analysis.why import Sum
@@ -193,6 +193,12 @@ def test_each_panel_s_numbers_are_saved_under_its_own_axes() -> None:
     ]
     rows = saved(over_fits(parts, "light", 300)).set_index("y is").loc["return"]
     assert dict(zip(rows["line"], rows["y"], strict=True)) == {"a return": 7, "b return": 9}
+
+
+@in_browser
+def test_weights_below_the_axis_are_saved_as_they_are() -> None:
+    rows = saved(median_profiles({"tom": np.array([[0.0, 0.002, 3.0]])}, 0, 300))
+    assert rows["mean weight"].tolist() == [0, 0.002, 3]
 
 
 def test_columns_have_their_names_and_one_scale_in_a_paper_s_figure() -> None:

@@ -14,7 +14,7 @@ from common import change
 from line_cases import FAR, FLAT, LINE, TWICE, Columns, N, good, ordered, without
 
 import tom
-from tom.analysis.ordered_data import OrderedData, action_bounds, load_data
+from tom.analysis.ordered_data import OrderedData, load_data
 from tom.envs import import_task, task
 from tom.errors import UserError
 from tom.record import RunReader, Store
@@ -205,7 +205,7 @@ def test_a_policy_of_another_scale_is_noticed():
         (saved(cases.Acting()), LINE, False),
         ("line_cases:outside", LINE, True),
     ):
-        doubled = good() | {"action": action_bounds(task(env))[1] * good()["action"]}
+        doubled = good() | {"action": task(env).action_bounds[1] * good()["action"]}
         np.savez("data.npz", allow_pickle=False, **doubled)
         found = tom.weigh("data.npz", name, env=env, learners=("mle",), seeds=(0,), footprint=20)
         codes = [notice["code"] for notice in found.card["notices"]]

@@ -16,7 +16,7 @@ from gymnasium.envs.classic_control import PendulumEnv
 from gymnasium.wrappers import RescaleAction
 
 from tom.analysis import weighing
-from tom.analysis.ordered_data import action_bounds, load_data, load_run, to_unit_range
+from tom.analysis.ordered_data import load_data, load_run
 from tom.analysis.weighing import plan_weighing
 from tom.cli import main
 from tom.config import PmacConfig, RunConfig
@@ -426,5 +426,5 @@ def test_bounds_are_those_of_the_task_as_it_is_registered():
     gym.register(made, lambda **_: RescaleAction(PendulumEnv(), np.float32(-1), np.float32(1)))
     known = task(f"gymnasium:{made}")  # the innermost Pendulum's bounds are -2 and 2
     action = np.array([[-1.0], [0.0], [0.5]], np.float32)
-    np.testing.assert_array_equal(to_unit_range(action, known), action)
-    assert [bound.tolist() for bound in action_bounds(known)] == [[-1.0], [1.0]]
+    np.testing.assert_array_equal(known.unit_action(action), action)
+    assert [bound.tolist() for bound in known.action_bounds] == [[-1.0], [1.0]]

@@ -222,6 +222,7 @@ def test_rescaled_joints_are_no_joint_positions():
         ("gymnasium:Still-v0", "dimension 0 are 0 and 0"),
         ("gymnasium:Wide-v0", r"\(3,\), not \(2,\)"),
         ("gymnasium:Swimer-v5", "Swimmer"),
+        ("gymnasium:OfAScript-v0", "module:Id"),
     ],
 )
 def test_what_cannot_be_used_is_one_line(name: str, words: str):

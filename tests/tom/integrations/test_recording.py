@@ -214,6 +214,22 @@ def test_a_vector_of_environments_records_itself(mode: AutoresetMode, tmp_path: 
     np.testing.assert_allclose(sorted(whole), sorted(returns), rtol=1e-4)
 
 
+def test_observations_that_the_environment_changes_in_place_are_recorded_as_they_were(
+    tmp_path: Path,
+):
+    envs: Any = gymnasium.make_vec("Pendulum-v1", num_envs=2, vector_kwargs={"copy": False})
+    envs = RecordVectorEnv(envs, "mine", store=tmp_path)
+    seen = [envs.reset(seed=0)[0].copy()]
+    for _ in range(4):
+        seen.append(envs.step(envs.action_space.sample())[0].copy())
+    envs.close()
+    table = loaded(tmp_path).transitions
+    for name, rows in (("obs", seen[:-1]), ("next_obs", seen[1:])):
+        wanted = np.array(rows).transpose(1, 0, 2).reshape(-1, 3)  # an environment, then the other
+        found = table[[f"{name}_{i}" for i in range(3)]]
+        np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-6)
+
+
 def test_priorities_of_rllib_are_the_weights(tmp_path: Path):
     buffer = PrioritizedReplayBuffer(capacity=20, storage_unit="timesteps", alpha=0.5)
     rng, given = np.random.default_rng(0), {}

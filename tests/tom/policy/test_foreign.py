@@ -10,11 +10,21 @@ from common import Evil, generator, one_line
 from onnx import TensorProto, helper
 from torch import Tensor
 
+from tom.envs.gymnasium_task import GymnasiumTask
+from tom.envs.termination import never
 from tom.errors import UserError
 from tom.policy.foreign import ForeignPolicy, foreign_policy, is_foreign
 
 OBS, ACTIONS = 3, 2
-BOUNDS = (np.array([-2.0, 0.0], np.float32), np.array([2.0, 4.0], np.float32))
+
+
+def known(scale: float = 1.0, offset: float = 0.0) -> GymnasiumTask:
+    """A task whose observations are in another unit."""
+    return GymnasiumTask(
+        name="known", gym_id="", terminated=never, steps=1, dt=1.0,
+        action_dim=ACTIONS, action_low=(-2.0, 0.0), action_high=(2.0, 4.0),
+        obs_names=("o",) * OBS, obs_scale=(scale,) * OBS, obs_offset=(offset,) * OBS,
+    )  # fmt: skip
 
 
 class Gaussian(torch.nn.Module):
@@ -52,7 +62,7 @@ def exported(path: Path, outputs: int, rows: str | int = "n") -> str:
 
 def load(name: str) -> ForeignPolicy:
     assert is_foreign(name)
-    return foreign_policy(name, OBS, BOUNDS)
+    return foreign_policy(name, known())
 
 
 def test_a_gaussian_is_drawn_from_and_squashed(tmp_path: Path):
@@ -96,7 +106,7 @@ def test_a_network_is_asked_in_its_own_precision(tmp_path: Path):
 
 def test_it_is_asked_in_the_tasks_own_units(tmp_path: Path):
     name = exported(tmp_path / "policy.onnx", outputs=1)
-    policy = foreign_policy(name, OBS, BOUNDS, lambda obs: 10 * obs + 1)
+    policy = foreign_policy(name, known(10, 1))
     action = policy(torch.tensor([[0.0, 0.1, 0.0]]), 1, generator())
     assert action.flatten().tolist() == pytest.approx([0.5, 0.0])
 
