@@ -61,7 +61,7 @@ def find(args: Namespace) -> Findings:
         for name, ahead in zip(("capacity", "capacity-rollouts"), AHEAD, strict=True)
     }
     tables = {"summary": rows, "head-to-head": pairs}
-    return findings(args, verdict(rows, pairs), tables, outcomes, figures)
+    return findings(args, in_sentences(rows, pairs), tables, outcomes, figures)
 
 
 def summary(outcomes: Sequence[Row]) -> list[Row]:
@@ -108,7 +108,7 @@ def head_to_head(outcomes: Sequence[Row]) -> list[Row]:
     return sorted(rows, key=lambda row: list(QUESTIONS).index((row["way"], row["against"])))
 
 
-def verdict(rows: Sequence[Row], pairs: Sequence[Row]) -> list[str]:
+def in_sentences(rows: Sequence[Row], pairs: Sequence[Row]) -> list[str]:
     """For each model the way with the lowest error, then the answers to questions of two ways."""
     sentences = []
     for model in dict.fromkeys(row["model"] for row in rows):

@@ -77,7 +77,7 @@ def find(args: Namespace) -> Findings:
         args, focus, cases, lambda one: f"{one['recording']}: {one['rival']} seed {one['seed']}"
     )
     return Findings(
-        sentences=verdict(results),
+        sentences=in_sentences(results),
         files={"errors": results, "summary": summary(results)},
         titles={"summary": "Medians over seeds"},
         figures={"errors": (CAPTION, error_figure(results))},
@@ -176,7 +176,7 @@ def summary(results: Sequence[Row]) -> list[Row]:
     return rows
 
 
-def verdict(results: Sequence[Row]) -> list[str]:
+def in_sentences(results: Sequence[Row]) -> list[str]:
     """For each learner except MLE: where its model is better than MLE's, and whether as claimed."""
     over, sentences = shares(results), []
     for rival in dict.fromkeys(one["rival"] for one in over if one["rival"] != "mle"):

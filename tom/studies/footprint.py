@@ -50,7 +50,7 @@ def find(args: Namespace) -> Findings:
     outcomes = outcomes_of(args)
     tables = {"summary": summary(outcomes), "head-to-head": head_to_head(outcomes)}
     figures = {"footprint": (CAPTION, footprint_figure(outcomes))}
-    return findings(args, verdict(outcomes), tables, outcomes, figures)
+    return findings(args, in_sentences(outcomes), tables, outcomes, figures)
 
 
 def summary(outcomes: Sequence[Row]) -> list[Row]:
@@ -95,7 +95,7 @@ def head_to_head(outcomes: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row["against"] != UNIFORM]
 
 
-def verdict(outcomes: Sequence[Row]) -> list[str]:
+def in_sentences(outcomes: Sequence[Row]) -> list[str]:
     """The tables in words."""
     sentences, counted = [], informative_outcomes(outcomes)
     if counted:

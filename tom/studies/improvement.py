@@ -113,7 +113,7 @@ def find(args: Namespace) -> Findings:
     requested = [replace(case, updates=args.updates, episodes=args.episodes) for case in requested]
     trials = compute(args, improve, requested, outcome_label)
     rows, figures = summary(trials), {"improvement": (CAPTION, improvement_figure(trials))}
-    return findings(args, verdict(trials, rows), {"summary": rows}, trials, figures)
+    return findings(args, in_sentences(trials, rows), {"summary": rows}, trials, figures)
 
 
 def _runs(args: Namespace) -> list[RunReader]:
@@ -281,7 +281,7 @@ def summary(trials: Sequence[Row]) -> list[Row]:
     return rows
 
 
-def verdict(trials: Sequence[Row], rows: Sequence[Row]) -> list[str]:
+def in_sentences(trials: Sequence[Row], rows: Sequence[Row]) -> list[str]:
     """The table in words, how far chance moves a return, and what cannot be said."""
     keys = {trial_of(one) for one in trials}
     moments = {(recording, step) for recording, step, _ in keys}

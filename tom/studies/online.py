@@ -57,7 +57,7 @@ def find(args: Namespace) -> Findings:
         )
     profile_rows = rows(found)
     return Findings(
-        sentences=verdict(profile_rows),
+        sentences=in_sentences(profile_rows),
         files={"profiles": _profiles(found), "online": profile_rows},
         titles={"online": "Every profile"},
         figures={"online": (CAPTION, online_figure(found))},
@@ -133,7 +133,7 @@ def _profiles(panels: Sequence[RunProfiles]) -> Iterator[Row]:
                 yield {**of, "step": int(step), "bin": number, "mean_weight": weight}
 
 
-def verdict(rows: Sequence[Row]) -> list[str]:
+def in_sentences(rows: Sequence[Row]) -> list[str]:
     """For each learner, how much of its weight is not at the newest end of the buffer.
 
     That is also true of even weights. So the paper's claim is tested on profiles that are not even,

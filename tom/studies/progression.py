@@ -110,7 +110,7 @@ def find(args: Namespace) -> Findings:
     judged, found = args.preset[0], checks(done)
     caption = "Mean weight along the ordered buffer, single seeds faint"
     return Findings(
-        sentences=verdict([row for row in found if row["preset"] == judged]),
+        sentences=in_sentences([row for row in found if row["preset"] == judged]),
         files={"profiles": _profiles(done)},
         titles={},
         figures={
@@ -224,7 +224,7 @@ def finding(
     }
 
 
-def verdict(found: Sequence[Row]) -> list[str]:
+def in_sentences(found: Sequence[Row]) -> list[str]:
     """Whether TOM's weights are low on random data, rise, and rise before the end."""
     sentences = []
     for quantity, (what, holds) in CLAIMS.items():

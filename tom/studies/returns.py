@@ -83,7 +83,7 @@ def find(args: Namespace) -> Findings:
     envs, planned = tasks(args.env), args.groups is not None
     whole, cells, left_out = _chosen(args, envs)
     by = [BY[name] for name in args.by]
-    sentences = verdict(cells)
+    sentences = in_sentences(cells)
     if left_out:
         sentences.append(
             "Left out, for other settings, a longer run of the seed, no evaluation, a first one "
@@ -169,7 +169,7 @@ def _curves(cells: Sequence[Cell]) -> Iterator[Row]:
                 yield {**of, "step": int(step), "return": value, "best": best}
 
 
-def verdict(cells: Sequence[Cell]) -> list[str]:
+def in_sentences(cells: Sequence[Cell]) -> list[str]:
     """TOM's place among the groups with enough runs to be ranked, and the reservations."""
     of_paper = [c for c in cells if c.env in PAPER_ENVS]
     sentences = _places([c for c in of_paper if c.n >= RANKED])

@@ -111,7 +111,7 @@ def find(args: Namespace) -> Findings:
     first = {story.outcome["name"]: story for story in reversed(stories)}
     weighed = {label: first[name] for name, (_, label) in LEARNERS.items()}
     return Findings(
-        sentences=verdict(outcomes, sweep),
+        sentences=in_sentences(outcomes, sweep),
         files={
             "outcomes": outcomes,
             "sweep": sweep,
@@ -263,7 +263,7 @@ def controls(outcomes: Sequence[Row]) -> list[Row]:
     ]
 
 
-def verdict(outcomes: Sequence[Row], sweep: Sequence[Row]) -> list[str]:
+def in_sentences(outcomes: Sequence[Row], sweep: Sequence[Row]) -> list[str]:
     """Whether TOM beats MLE and weighs the road, what else does so, and where MLE is enough."""
     tom, mle = _named(outcomes, "tom"), _named(outcomes, "mle")
     sentences = []

@@ -91,7 +91,7 @@ def find(args: Namespace) -> Findings:
     )
     table = summary(rows)
     return Findings(
-        sentences=verdict(table),
+        sentences=in_sentences(table),
         files={
             "estimates": rows,
             "summary": table,
@@ -227,7 +227,7 @@ def near_exact(family: str, rows: Sequence[Row]) -> list[Row]:
     ]
 
 
-def verdict(table: Sequence[Row]) -> list[str]:
+def in_sentences(table: Sequence[Row]) -> list[str]:
     """How far the claim holds, by the summary of the variants."""
     descriptions = {
         row["variant"]: f"{row['variant']}: rank correlation {row['spearman']:.2f}, relative L1 "

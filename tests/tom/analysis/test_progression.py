@@ -5,7 +5,7 @@ import pytest
 
 from tom.analysis.progression import medians, progression, rank_correlation, same_profile
 from tom.analysis.weighing import Weighed
-from tom.studies.progression import Condition, Result, checks, finding, verdict
+from tom.studies.progression import Condition, Result, checks, finding, in_sentences
 from tom.studies.study import Row
 
 
@@ -115,7 +115,7 @@ def test_the_median_over_seeds_is_judged():
 
 
 def test_the_verdict_judges_each_part_of_the_claim():
-    agrees = verdict(study(rising(), rising(), rising()))
-    differs = verdict(study(rising()[::-1].copy(), rising(), rising()))
+    agrees = in_sentences(study(rising(), rising(), rising()))
+    differs = in_sentences(study(rising()[::-1].copy(), rising(), rising()))
     assert [line.rpartition(": ")[2] for line in agrees] == ["as the paper says."] * 3
     assert "the paper says otherwise." in differs[0]

@@ -43,7 +43,7 @@ def test_where_the_weight_lies(tmp_path: Path):
     assert [row["newest tenth"] for row in rows] == pytest.approx([0, 0.5, 1])
     assert [row["peak at"] for row in rows] == pytest.approx([0.5, 0.85, 0.9])
     assert [row["excess there"] for row in rows] == pytest.approx([0, 0.5, 1])
-    assert study.verdict(rows)[-1].endswith("The paper says otherwise.")
+    assert study.in_sentences(rows)[-1].endswith("The paper says otherwise.")
 
 
 def test_of_few_bins_the_newest_is_the_newest_tenth(tmp_path: Path):
@@ -69,7 +69,7 @@ def test_even_weights_are_no_evidence(tmp_path: Path, weight: np.ndarray, says: 
     record(store, "tom", [weight])
     rows = study.rows(study.panels(store.runs(), ["paper"]))
     assert rows[0]["newest tenth"] < 0.5
-    assert study.verdict(rows)[-1].endswith(says)
+    assert study.in_sentences(rows)[-1].endswith(says)
 
 
 def test_the_longest_run_and_a_few_fits_spread_over_it(tmp_path: Path):
