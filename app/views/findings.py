@@ -10,15 +10,16 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import session, text
 from app.data import studies
-from app.data.studies import QUESTIONS, Study
-from app.data.two_axes import QUESTION, verdicts
-from app.data.verdicts import Verdict, verdict
+from app.data.studies import Study
+from app.data.verdicts import on_two_axes, verdict
 from app.figures.statistics import intervals, two_axes
 from app.parts import address, form, jobs
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from app.theme import learner_colour
-from tom.learners import SUBJECT
+from tom.studies import STUDIES, load
+from tom.studies.two_axes import QUESTION
+from tom.studies.verdicts import Verdict
 
 EVERY = "Every question"
 SIGNS = {"Yes": ":material/check_circle:", "No": ":material/cancel:",
@@ -44,7 +45,7 @@ def page(scope: Scope) -> None:
             _cards(listed)
     else:
         st.info(f"No study has been computed yet: there is none in `{studies.FOLDER.absolute()}`.")
-    others = [name for name in QUESTIONS if name not in by_name]
+    others = [name for name in STUDIES if name not in by_name]
     if others:
         with st.expander("Studies not computed here", expanded=not listed):
             _offer_studies(others)
@@ -52,7 +53,7 @@ def page(scope: Scope) -> None:
 
 def _cards(listed: Sequence[Study]) -> None:
     """All ways of weighing on two axes, where both studies are known; then each question."""
-    both = verdicts(listed)
+    both = on_two_axes(listed)
     if both:
         with st.container(border=True):
             st.header(QUESTION, anchor=False)
@@ -104,7 +105,7 @@ def _card(study: Study, head: DeltaGenerator) -> None:
     the verdict, its own picture.
     """
     found = verdict(study)
-    asked = question(study, found)
+    asked = (found and found.question) or study.question
     head.header(text.markdown(asked or study.name), anchor=False)
     if found is not None:
         place = _draw_verdict(found)
@@ -114,7 +115,8 @@ def _card(study: Study, head: DeltaGenerator) -> None:
         place = st.container()
     if found is not None and found.points:
         height = 110 + 22 * len(found.points)
-        figure = intervals(found.points, found.axis, found.level, height, study.name)
+        colours = [learner_colour(point.learner) for point in found.points]
+        figure = intervals(found.points, colours, found.axis, found.level, height, study.name)
         bars = " Bars: 95 % intervals." if np.isfinite([p.low for p in found.points]).any() else ""
         caption = f"{asked} {found.sentence}{bars}"
         with place:
@@ -128,19 +130,11 @@ def _card(study: Study, head: DeltaGenerator) -> None:
     )  # fmt: skip
 
 
-def question(study: Study, found: Verdict | None) -> str:
-    """The study's question, asked about the ways that it has where TOM's are not among them."""
-    points = found.points if found else ()
-    if not points or any(point.colour == learner_colour(SUBJECT) for point in points):
-        return study.question
-    ways = " and ".join(dict.fromkeys(point.series or point.line for point in points))
-    return study.question.replace("TOM's weights", f"the weights of {ways}")
-
-
 def _whole(study: Study) -> None:
     """The paper's claim, the result, the command, and all figures and tables."""
     head = st.columns([5, 1], vertical_alignment="center")
-    asked = question(study, verdict(study))
+    found = verdict(study)
+    asked = (found and found.question) or study.question
     head[0].header(text.markdown(asked or study.name), anchor=False)
     if study.report is not None:
         where = f"reports/{quote(study.name)}"
@@ -193,7 +187,7 @@ def _offer_studies(names: Sequence[str]) -> None:
     if why := session.read_only_reason():
         st.caption(why)
     for name in names:
-        st.markdown(QUESTIONS[name])
+        st.markdown(load(name).QUESTION)
         about = () if name in ("road", "tabular") else ("--store", session.links().store)
         words = ["reproduce", name, *about]
         left, right = st.columns([5, 1], vertical_alignment="center")

@@ -23,21 +23,10 @@ from tom.machine.processes import on_stopping
 from tom.readable import whole
 from tom.reports.figures import STYLE, save
 from tom.reports.report import origin, write_csv, write_report
-from tom.studies import (
-    capacity,
-    focus,
-    footprint,
-    improvement,
-    online,
-    progression,
-    returns,
-    road,
-    tabular,
-)
+from tom.studies import STUDIES, load
 from tom.studies.study import Findings, make_folder, say
 
 _BEGUN = time.monotonic()  # a study is a separate process
-STUDIES = (road, progression, focus, footprint, capacity, improvement, online, returns, tabular)
 LONG = 60
 """maximum lines of a table that is printed"""
 
@@ -49,8 +38,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "write its figure and table. Exit code 0 if all figures are met, else 1.",
     )
     studies = parser.add_subparsers(title="studies", metavar="STUDY", required=True)
-    for study in STUDIES:
-        name, doc = study.__name__.rpartition(".")[2], study.__doc__ or ""
+    for name in STUDIES:
+        study = load(name)
+        doc = study.__doc__ or ""
         own = studies.add_parser(name, help=doc.partition("\n")[0], description=doc)
         own.register("type", "folder", folder)
         own.register("type", "seed", whole(0))

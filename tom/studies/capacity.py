@@ -15,21 +15,36 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tom.errors import UserError, check_known
+from tom.learners import SUBJECT
 from tom.reports.figures import learner_colour, strips
-from tom.studies.frozen import ERROR, MODELS, ROLLOUT_ERROR, UNIFORM, WAYS
+from tom.studies.frozen import (
+    ERROR,
+    LABELS,
+    MENDED,
+    MODELS,
+    PRINTED,
+    ROLLOUT_ERROR,
+    UNIFORM,
+    WAYS,
+)
 from tom.studies.moments import (
     QUESTIONS,
     add_measure_options,
     answer_sentences,
+    certainty,
     comparisons,
     findings,
     models_of,
     outcomes_of,
     ratios,
+    way_point,
+    word_of_rows,
 )
 from tom.studies.study import Findings, Row
+from tom.studies.verdicts import Tables, Verdict
 
 TITLE = "Where weighting pays"
+QUESTION = "Do TOM's weights make a model better where the policy goes, whatever its size?"
 CLAIM = (
     "A model fitted by TOM's weights is accurate where the policy goes (figure 1). The paper "
     "never varies the model's capacity; its linear model of road-and-rocks is the small end."
@@ -120,6 +135,36 @@ def in_sentences(rows: Sequence[Row], pairs: Sequence[Row]) -> list[str]:
             f"{best['n']} trials), {best['five steps']:.2f} five steps ahead."
         )
     return sentences + answer_sentences(pairs, "ratio", "less at")
+
+
+def verdict(tables: Tables) -> Verdict:
+    """By TOM's errors over those with uniform weights; without TOM, by every way's."""
+    pairs = [row for row in tables["head-to-head"] if row["against"] == UNIFORM]
+    table = [row for row in pairs if row["way"] in LABELS]
+    of_tom = [row for row in table if row["way"] in (PRINTED, MENDED)]
+    ours, whose = (of_tom, "TOM's") if of_tom else (table, "These")
+    models = list(dict.fromkeys(row["model"] for row in ours))
+    less = [m for m in models if all(row["high"] < 1 for row in ours if row["model"] == m)]
+    cost = [
+        f"{row['ratio']:.2f} ({certainty(row, '{:.2f}'.format)}) with {LABELS[row['way']]}"
+        for row in table
+        if row["model"] == models[-1] and not WAYS[row["way"]].half
+    ]
+    sentence = (
+        f"{whose} weights lower the model's error where the policy goes for "
+        f"{' and '.join(less) or 'no model'} (units x layers). The error of {models[-1]} over that "
+        f"with uniform weights is {' and '.join(cost)}."
+    )
+    least = min(1.0, min(row["p"] for row in table) * len(table))
+    against = f"Corrected for all {len(table)} tests of the table, the smallest p is {least:.2g}."
+    points = [way_point(row, "ratio", row["model"], LABELS[row["way"]]) for row in table]
+    axis = "model error (1: as with uniform weights)"
+    question = ""
+    if SUBJECT not in {point.learner for point in points}:
+        ways = " and ".join(dict.fromkeys(point.series for point in points))
+        question = QUESTION.replace("TOM's weights", f"the weights of {ways}")
+    word = word_of_rows(ours)
+    return Verdict(word, sentence, against, axis, 1, points, question=question)
 
 
 def capacity_figure(outcomes: Sequence[Row], ahead: str) -> Figure:

@@ -31,10 +31,14 @@ from tom.record import RunReader
 from tom.reports.figures import learner_colour, strips
 from tom.reports.report import seeds as in_short
 from tom.rng import Streams
+from tom.studies.frozen import LABELS, MENDED, PRINTED
+from tom.studies.moments import sign_test
 from tom.studies.study import Findings, Row, add_recordings, compute, recordings
+from tom.studies.verdicts import Point, Tables, Verdict, side, word_of
 from tom.training.presets import PRESETS, resolve
 
 TITLE = "Model error"
+QUESTION = "Is the model better where the policy goes, and at what price elsewhere?"
 CLAIM = (
     "Fitting the model to what the current policy meets makes it accurate there, where policy "
     "learning needs it, rather than over all of the replay buffer (figure 1). The paper measures "
@@ -192,6 +196,41 @@ def in_sentences(results: Sequence[Row]) -> list[str]:
             line += f" Where the policy goes: {says[less]}."
         sentences.append(line)
     return sentences
+
+
+def verdict(tables: Tables) -> Verdict:
+    """By a sign test over recordings of each of TOM's presets, corrected for their number."""
+    names = {"pmac": "PMAC", "tom paper": LABELS[PRINTED], "tom mended": LABELS[MENDED],
+             "tom exact": "TOM exact"}  # fmt: skip
+    rows = [row for row in tables["summary"] if row["rival"] in names]
+    ours = [row for row in rows if row["rival"].startswith("tom")]
+    signs = {
+        names[name]: sign_test(
+            ("", row["recording"], 1 - row["policy / mle"]) for row in ours if row["rival"] == name
+        )
+        for name in dict.fromkeys(row["rival"] for row in ours)
+    }
+    sides = [side(one.p * len(signs), 2 * one.above > one.n) for one in signs.values()]
+    counts = [f"{name} on {one.above} of {one.n}" for name, one in signs.items()]
+    sentence = (
+        "On new steps of the policy, the model errs less than MLE's: "
+        f"{', '.join(counts)} recordings (smallest p {min(one.p for one in signs.values()):.2g})."
+    )
+    least = min(1.0, 2.0 ** (1 - max(one.n for one in signs.values())))
+    against = (
+        "On the buffer's random half, the error is "
+        f"{median(row['random / mle'] for row in ours):.2f} times MLE's (median). With so few "
+        f"recordings, p cannot be below {least:.2g}."
+    )
+    points = [
+        Point(
+            row["recording"], names[rival := row["rival"]], row["policy / mle"], nan, nan,
+            rival.partition(" ")[0], PRINTED if rival == "tom paper" else "",
+        )
+        for row in rows
+    ]  # fmt: skip
+    axis = "model error where the policy goes (1: as MLE's)"
+    return Verdict(word_of(sides), sentence, against, axis, 1, points)
 
 
 def error_figure(results: Sequence[Row]) -> Figure:

@@ -46,6 +46,7 @@ from tom.record import RunReader
 from tom.reports.figures import learner_colour, strips
 from tom.rng import Streams
 from tom.studies.frozen import (
+    LABELS,
     MODELS,
     UNIFORM,
     WAYS,
@@ -68,10 +69,13 @@ from tom.studies.moments import (
     outcome_label,
     sign_test,
     trial_of,
+    way_point,
 )
 from tom.studies.study import Findings, Row, compute
+from tom.studies.verdicts import Tables, Verdict, side, word_of
 
 TITLE = "What weighting does for the policy"
+QUESTION = "Does the policy return more with weights in the model or in the starts?"
 CLAIM = (
     "Policies that are optimised in a model fitted by TOM's weights, from start states drawn by "
     "them, earn higher returns (section 5.2). The paper compares whole runs, and never one of the "
@@ -309,6 +313,35 @@ def in_sentences(trials: Sequence[Row], rows: Sequence[Row]) -> list[str]:
             + ("undecided." if row["p"] >= 0.05 else f"{decided} than uniform weights.")
         )
     return sentences
+
+
+def verdict(tables: Tables) -> Verdict:
+    """By the sign test of every way and place, corrected for their number."""
+    difference = "difference, weights"
+    table = [
+        row
+        | {
+            "what": row["what"].replace(difference, LABELS.get(row["way"], row["way"])),
+            "share": row["better in trials"] / row["n"],
+        }
+        for row in tables["summary"]
+        if row["what"].startswith(difference)
+    ]
+    sides = [side(row["p"] * len(table), 2 * row["better in trials"] > row["n"]) for row in table]
+    trials = [
+        f"{row['better in trials']:.0f} of {row['n']:.0f} trials ({row['what']})"
+        for row in sorted(table, key=lambda row: row["share"])
+    ]
+    sentence = (
+        f"After one fit, the policy returned more than with uniform weights in {trials[0]} to "
+        f"{trials[-1]}; the smallest p of {len(table)} tests is {min(r['p'] for r in table):.2g}."
+    )
+    against = (
+        f"At most {max(row['recordings'] for row in table):.0f} recordings count in a test: only "
+        "a large effect of weights could have been seen."
+    )
+    points = [way_point(row, "share", row["what"]) for row in table]
+    return Verdict(word_of(sides), sentence, against, "share of trials returning more", 0.5, points)
 
 
 def improvement_figure(trials: Sequence[Row]) -> Figure:

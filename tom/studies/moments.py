@@ -33,6 +33,7 @@ from tom.studies.study import (
     compute,
     tasks,
 )
+from tom.studies.verdicts import Point, side, word_of
 
 if TYPE_CHECKING:  # the studio reads outcomes without loading matplotlib
     from matplotlib.figure import Figure
@@ -325,3 +326,31 @@ def with_interval(row: Row, name: str) -> str:
     """The number of a row with its interval, in words."""
     bounds = f" [{row['low']:.2f}, {row['high']:.2f}]" if isfinite(row["low"]) else ""
     return f"{row[name]:.2f}{bounds}"
+
+
+# Verdicts.
+
+
+def word_of_rows(rows: Sequence[Row]) -> str:
+    """The word for rows of a quantity that is better below 1, by their intervals or tests."""
+
+    def side_of(row: Row) -> int:
+        if isfinite(row["low"]):
+            return (row["high"] < 1) - (row["low"] > 1)
+        return side(row["p"] * len(rows), 2 * row["better on"] > row["recordings"])
+
+    return word_of([side_of(row) for row in rows])
+
+
+def certainty(row: Row, number: Callable[[float], str]) -> str:
+    """How sure a row's number is: its interval, else its test."""
+    if isfinite(row["low"]):
+        of = "difference " if "difference" in row else ""
+        return f"{of}{number(row['low'])} to {number(row['high'])}"
+    return f"p {row['p']:.2g}, {row['recordings']:.0f} recordings"
+
+
+def way_point(row: Row, column: str, line: str, series: str = "") -> Point:
+    """The point of a row's way, at the value in `column`."""
+    way, ends = row["way"], (row.get("low", nan), row.get("high", nan))
+    return Point(line, series, row[column], *ends, WAYS[way].learner or "", way)

@@ -39,8 +39,10 @@ from tom.studies.study import (
     compute,
     recordings,
 )
+from tom.studies.verdicts import by_acceptance
 
 TITLE = "Weight progression"
+QUESTION = "Do the weights follow the policy along an ordered buffer?"
 CLAIM = (
     "On a buffer whose first half is random and whose second half is SAC's training in order, "
     "TOM's weights for the trained policy are low on the random half and rise towards the end; "
@@ -80,6 +82,8 @@ TITLES = {
     ("own", "pmac"): "PMAC",
     ("shuffled", "pmac"): "PMAC, rows shuffled",
 }
+
+verdict = by_acceptance
 
 
 def add_options(parser: ArgumentParser) -> None:

@@ -7,6 +7,7 @@ Trains nothing: `tom sweep` makes the runs.
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
+from math import isfinite
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -19,14 +20,32 @@ from tom.analysis.settings import differing_settings
 from tom.analysis.statistics import RANKED, remark
 from tom.envs import ENVS, task
 from tom.errors import UserError
+from tom.learners import LEARNERS, SUBJECT
 from tom.record import Store
 from tom.reports.figures import NEUTRAL, learner_colour, new_figure
 from tom.reports.report import origin_of_runs
-from tom.studies import returns_tables as tables
+from tom.studies.frozen import LABELS, OF_TOM
 from tom.studies.returns_cells import PAPER_ENVS, Cell, all_cells, compared_at, select
+from tom.studies.returns_tables import (
+    FACTORS,
+    MEASURES,
+    exams,
+    factors,
+    improvement,
+    less,
+    missing,
+    rollouts,
+    summary,
+)
 from tom.studies.study import Findings, Row, add_groups, add_runs, check_groups, tasks
+from tom.studies.verdicts import Point, Tables, Verdict, side, word_of
 
 TITLE = "Returns of every learner"
+QUESTION = "Do trainings with TOM's weights return more than MLE's?"
+FACTORS_QUESTION = (
+    "Do whole trainings return more with TOM's weights in the model, or in the starts?"
+)
+"""of runs with weights in the model, in the starts, in both and in none"""
 CLAIM = (
     "TOM performs best in aggregate in four of five environments, in sample efficiency and in "
     "final return, with larger gains where dynamics are complex (Walker2d, HalfCheetah, Humanoid); "
@@ -93,13 +112,13 @@ def find(args: Namespace) -> Findings:
         sentences=sentences,
         files={
             "returns": _curves(cells),
-            "summary": tables.summary(cells),
-            "improvement": tables.improvement(cells, by, planned=planned),
-            "factors": tables.factors(cells, by),
-            "exams": tables.exams(cells),
-            "rollouts": tables.rollouts(cells),
-            "less": tables.less(cells, planned=planned),
-            "missing": tables.missing(whole, envs, args.learner),
+            "summary": summary(cells),
+            "improvement": improvement(cells, by, planned=planned),
+            "factors": factors(cells, by),
+            "exams": exams(cells),
+            "rollouts": rollouts(cells),
+            "less": less(cells, planned=planned),
+            "missing": missing(whole, envs, args.learner),
         },
         titles=TITLES,
         figures={"returns": (CAPTION, return_figure(cells))},
@@ -228,6 +247,61 @@ def _places(ranked: Sequence[Cell]) -> list[str]:
             f"Compared before the end of the paper's training: {'; '.join(short)} steps."
         )
     return sentences
+
+
+def verdict(tables: Tables) -> Verdict:
+    """By the effect of each place where weights act, if it is known; else by wins over MLE."""
+    return _of_factors(tables[FACTORS]) if FACTORS in tables else _of_wins(tables["improvement"])
+
+
+def _of_wins(rows: Sequence[Row]) -> Verdict:
+    """By the p of all of TOM's comparisons with MLE."""
+    learners = {entry.label: name for name, entry in LEARNERS.items()}
+    learners |= dict.fromkeys(OF_TOM, SUBJECT)
+    table = [row for row in rows if row["against"] == "MLE" and row["learner"] in learners]
+    shown = {label: label for label in learners} | {of: LABELS[way] for of, way in OF_TOM.items()}
+    ours = [row for row in table if row["learner"] in OF_TOM]
+    sides = [side(row["p of all"], row["wins"] > 0.5) for row in ours]
+    chances = [
+        f"{shown[row['learner']]} {10 * row['wins']:.0f} times in 10 (p {row['p']:.2g})"
+        for row in ours
+        if row["by"] == MEASURES[BEST]
+    ]
+    sentence = f"By best return, a random run beats a random run of MLE: {', '.join(chances)}."
+    least = min(row["p of all"] for row in ours)
+    remarks = (row["remark"] for row in ours if isinstance(row["remark"], str))
+    few = next((f" {one[0].upper()}{one[1:]}." for one in remarks), "")
+    against = f"Corrected for all comparisons of the table, the smallest p is {least:.2g}.{few}"
+    points = [
+        Point(
+            row["by"], shown[name := row["learner"]], row["wins"], row["low"], row["high"],
+            learners[name], OF_TOM.get(name, ""),
+        )
+        for row in table
+    ]  # fmt: skip
+    axis = "a random run beats one of MLE"
+    return Verdict(word_of(sides), sentence, against, axis, 0.5, points)
+
+
+def _of_factors(table: Sequence[Row]) -> Verdict:
+    """By the mean height of the curves, the p corrected for all tests of the table."""
+    tested = [row for row in table if isfinite(row["p"])]
+    rows = [row for row in tested if row["by"] == MEASURES[HEIGHT]]
+    found = [
+        f"{row['effect of']} {row['effect']:+.0f} ({row['low']:+.0f} to {row['high']:+.0f}, "
+        f"p {row['p']:.2g})"
+        for row in rows
+    ]
+    sentence = f"Mean return over a training: {', '.join(found)}."
+    few = next((f"; {row['remark']}" for row in rows if isinstance(row["remark"], str)), "")
+    p = ", ".join(f"{row['p of all']:.2g}" for row in rows)
+    against = f"Corrected for all {len(tested)} tests of the table, p is {p}. One task{few}."
+    points = [
+        Point(row["effect of"], "", row["effect"], row["low"], row["high"], SUBJECT) for row in rows
+    ]
+    sides = [side(row["p of all"], row["effect"] > 0) for row in rows]
+    word, question = word_of(sides), FACTORS_QUESTION
+    return Verdict(word, sentence, against, "return more", 0, points, question=question)
 
 
 def return_figure(cells: Sequence[Cell]) -> Figure:

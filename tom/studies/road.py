@@ -35,8 +35,10 @@ from tom.studies.study import (
     check,
     compute,
 )
+from tom.studies.verdicts import by_acceptance
 
 TITLE = "Road-and-rocks"
+QUESTION = "Does TOM drive where offline MBPO does not, because the road counts more?"
 CLAIM = (
     "On road-and-rocks TOM substantially outperforms offline MBPO, and does so because it gives "
     "the controllable region, the road, the higher weights (section 5.1)."
@@ -83,6 +85,8 @@ CELLS = 25  # of a drawn map, along each side
 EDGES = np.linspace(0, 1, CELLS + 1)
 CENTRES = (EDGES[1:] + EDGES[:-1]) / 2
 LEAST, MOST = 0.02, 50.0  # weights beyond these have the same colour
+
+verdict = by_acceptance
 
 
 def add_options(parser: ArgumentParser) -> None:

@@ -2,7 +2,8 @@
 
 A study is a module: its docstring says what is computed, `TITLE` and `CLAIM` (what the paper says)
 head its report, `add_options(parser)` adds its options, and `find(args)` computes its `Findings`,
-or raises UserError for bad input before anything is written. `tom reproduce`
+or raises UserError for bad input before anything is written. `verdict(tables)` answers its
+`QUESTION` from the rows of its files (tom/studies/verdicts.py). `tom reproduce`
 (tom/cli/reproduce.py) does the rest: files, report, JSON, exit code.
 
 A study's cases run each in its own process, and their outcomes are stored, so a study can resume.

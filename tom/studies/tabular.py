@@ -41,8 +41,10 @@ from tom.studies.tabular_estimates import (
     share_on,
 )
 from tom.studies.tabular_ways import exact_ways
+from tom.studies.verdicts import by_acceptance
 
 TITLE = "Exact weights"
+QUESTION = "Are the estimated weights exact on small MDPs?"
 CLAIM = (
     "At the optimum of the dual, f*' of the Bellman residual is the ratio of the optimal "
     "transition occupancy to the replay buffer's (section 4.3). The paper gives no numbers; here "
@@ -59,6 +61,8 @@ UNTRAINED = (
     "variation to the policy's stream, weight on ends over its share, effective sample (medians)"
 )
 CAPTION = "Estimated against exact weights; the area is the replay's share"
+
+verdict = by_acceptance
 
 
 def add_options(parser: ArgumentParser) -> None:

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from app.data import studies
-from app.data.two_axes import verdicts
-from app.data.verdicts import Verdict, verdict
+from app.data.verdicts import on_two_axes, verdict
+from tom.studies.verdicts import Verdict
 
 GALLERY = Path(__file__).parents[3] / "runs" / "studies"
 
@@ -192,10 +192,10 @@ def test_a_way_stands_at_its_mean_over_recordings_with_their_spread():
     errs = errs.div(errs["uniform"], axis=0).apply(np.log)
     n = near.dropna(how="all").groupby(level="env").size()
     assert (n <= errs.groupby(level="env").size()).all()  # of some moments the distance is noise
-    assert {panel.env for panel in verdicts(studies.listing(GALLERY))["capacity"].panels} == {
+    assert {panel.env for panel in on_two_axes(studies.listing(GALLERY))["capacity"].panels} == {
         *n.index
     }
-    for panel in verdicts(studies.listing(GALLERY))["capacity"].panels:
+    for panel in on_two_axes(studies.listing(GALLERY))["capacity"].panels:
         assert panel.moments == n[panel.env]
         assert {way for way, *_ in panel.ways} == {*near} & {*errs}
         for way, distance, error in panel.ways:
@@ -217,21 +217,21 @@ def test_the_answer_is_yes_where_a_way_is_better_on_both_axes(
     table = pd.read_csv(tmp_path / "capacity" / "moments.csv")
     table.loc[table["way"] != "uniform", "error 200 x 4"] *= error
     table.to_csv(tmp_path / "capacity" / "moments.csv", index=False)
-    found = verdicts(studies.listing(tmp_path))["capacity"]
+    found = on_two_axes(studies.listing(tmp_path))["capacity"]
     assert found.word == word
     assert "VaGram" in found.caption  # no model was fitted with its weights
     near = pd.read_csv(tmp_path / "footprint" / "moments.csv")
     near[near["env"] == "hopper"].to_csv(tmp_path / "footprint" / "moments.csv", index=False)
-    assert [panel.env for panel in verdicts(studies.listing(tmp_path))["capacity"].panels] == [
+    assert [panel.env for panel in on_two_axes(studies.listing(tmp_path))["capacity"].panels] == [
         "hopper"
     ]
     (tmp_path / "footprint" / "moments.csv").write_text("way\nuniform\n")  # of another version
-    assert not verdicts(studies.listing(tmp_path))
+    assert not on_two_axes(studies.listing(tmp_path))
 
 
 def test_studies_whose_names_end_alike_belong_together(tmp_path: Path):
     for name, ending in (("footprint", ""), ("footprint", "-b"), ("capacity", "-b")):
         shutil.copytree(GALLERY / name, tmp_path / f"{name}{ending}")
     listed = studies.listing(tmp_path)
-    assert [*verdicts(listed)] == ["capacity-b"]
-    assert verdicts(listed)["capacity-b"] == verdicts(studies.listing(GALLERY))["capacity"]
+    assert [*on_two_axes(listed)] == ["capacity-b"]
+    assert on_two_axes(listed)["capacity-b"] == on_two_axes(studies.listing(GALLERY))["capacity"]
