@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 from PIL import Image
 
 from tom.errors import UserError
@@ -93,14 +92,6 @@ def listing(*places: Path) -> list[Study]:
 def report(name: str, *places: Path) -> Path | None:
     """The report of the study `name`; None if there is no such study."""
     return next((study.report for study in listing(*places) if study.name == name), None)
-
-
-def table(path: Path) -> pd.DataFrame | None:
-    """The rows of a table; None if it cannot be read."""
-    try:
-        return pd.read_csv(path)
-    except (OSError, ValueError):  # pandas raises ValueError for a damaged file
-        return None
 
 
 def is_picture(path: Path) -> bool:

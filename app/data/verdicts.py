@@ -3,24 +3,15 @@
 from collections.abc import Sequence
 from contextlib import suppress
 
-from app.data import studies
 from app.data.studies import Study
-from tom.studies import STUDIES, load, two_axes
-from tom.studies.verdicts import Tables, Verdict, verdict_of
-
-
-def tables_of(study: Study) -> Tables:
-    read = ((path.stem, studies.table(path)) for path in study.tables)
-    return {
-        name: [dict(row) for row in table.to_dict("records")]
-        for name, table in read
-        if table is not None
-    }
+from tom.reports.report import read_tables
+from tom.studies import load, two_axes
+from tom.studies.verdicts import Verdict, verdict_of
 
 
 def verdict(study: Study) -> Verdict | None:
     """The verdict on a study's question; None without a rule for it, or without its tables."""
-    return verdict_of(load(study.verb), tables_of(study)) if study.verb in STUDIES else None
+    return verdict_of(load(study.verb), read_tables(study.tables)) if study.question else None
 
 
 def on_two_axes(listed: Sequence[Study]) -> dict[str, Verdict]:
@@ -34,6 +25,7 @@ def on_two_axes(listed: Sequence[Study]) -> dict[str, Verdict]:
     found = {}
     for by_verb in by_ending.values():
         with suppress(KeyError, ValueError):  # one is not computed, or tables of another version
-            near, errs = (tables_of(by_verb[name])["moments"] for name in ("footprint", "capacity"))
-            found[by_verb["capacity"].name] = two_axes.verdict(near, errs)
+            near, errs = (by_verb[verb] for verb in ("footprint", "capacity"))
+            moments = (read_tables(study.tables)["moments"] for study in (near, errs))
+            found[errs.name] = two_axes.verdict(*moments)
     return found

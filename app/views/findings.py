@@ -17,6 +17,7 @@ from app.parts import address, form, jobs
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from app.theme import learner_colour
+from tom.reports.report import read_csv
 from tom.studies import STUDIES, load
 from tom.studies.two_axes import QUESTION
 from tom.studies.verdicts import Verdict
@@ -155,7 +156,7 @@ def _whole(study: Study) -> None:
             else:
                 st.warning(f"{text.markdown(figure.name)} cannot be read.")
     for path in study.tables:
-        table = studies.table(path)
+        table = read_csv(path)
         if table is None:
             st.warning(f"{text.markdown(path.name)} cannot be read.")
             continue

@@ -22,9 +22,10 @@ from tom.errors import DivergedError
 from tom.machine.processes import on_stopping
 from tom.readable import whole
 from tom.reports.figures import STYLE, save
-from tom.reports.report import origin, write_csv, write_report
+from tom.reports.report import origin, read_tables, write_csv, write_report
 from tom.studies import STUDIES, load
 from tom.studies.study import Findings, make_folder, say
+from tom.studies.verdicts import verdict_of
 
 _BEGUN = time.monotonic()  # a study is a separate process
 LONG = 60
@@ -80,23 +81,29 @@ def _run(study: ModuleType, args: Namespace) -> int:
     make_folder(args.out)
     judged = [row for row in found.checks if row["met"] is not None]
     failed = [str(row["name"]) for row in judged if not row["met"]]
-    verdict = list(found.sentences)
+    sentences = list(found.sentences)
     if judged:
         met = len(judged) - len(failed)
-        verdict.append(f"{met} of {len(judged)} figures of our acceptance are met.")
+        sentences.append(f"{met} of {len(judged)} figures of our acceptance are met.")
     if failed:
-        verdict.append(f"Not met: {'; '.join(failed)}.")
+        sentences.append(f"Not met: {'; '.join(failed)}.")
     files = {name: list(rows) for name, rows in found.files.items()}
     tables: list[tuple[str, Sequence[Mapping[str, Any]]]]
     tables = [(title, files[name]) for name, title in found.titles.items()]
-    content = {name: files[name] for name in found.titles}
+    content: dict[str, Any] = {name: files[name] for name in found.titles}
     if found.checks:
         files["checks"] = content["checks"] = list(found.checks)
         answers = {True: "yes", False: "NO", None: ""}
         rows = [{**row, "met": answers[row["met"]]} for row in found.checks]
         tables.insert(0, ("Acceptance", rows))
-    for name, rows in files.items():
-        write_csv(args.out / f"{name}.csv", rows)
+    paths = {args.out / f"{name}.csv": rows for name, rows in files.items()}
+    for path, rows in paths.items():
+        write_csv(path, rows)
+    answer = []
+    if verdict := verdict_of(study, read_tables(paths)):
+        answer = [verdict.question or study.QUESTION, f"{verdict.word}. {verdict.sentence}"]
+        if verdict.against:
+            answer.append(f"Against it: {verdict.against}")
     pictures = [
         (caption, save(figure, args.out, name)[0])
         for name, (caption, figure) in found.figures.items()
@@ -105,7 +112,9 @@ def _run(study: ModuleType, args: Namespace) -> int:
         f"{(time.monotonic() - _BEGUN) / 3600:.2f} (cases kept from an earlier call not counted)"
     )
     made = origin() | {"hours": hours} | dict(found.origin)
-    write_report(args.out, study.TITLE, study.CLAIM, verdict, pictures, tables, made)
+    write_report(
+        args.out, study.TITLE, study.CLAIM, sentences, pictures, tables, made, answer=answer
+    )
 
     def shown() -> None:
         for title, rows in tables:
@@ -113,7 +122,8 @@ def _run(study: ModuleType, args: Namespace) -> int:
                 show_rows(title, rows)
             elif rows:
                 print(f"{title}: in the report")
-        print("\n".join([*verdict, str(args.out)]))
+        print("\n".join([*sentences, *answer, str(args.out)]))
 
-    print_result(args, content | {"verdict": verdict, "out": str(args.out)}, shown)
+    content |= {"verdict": sentences, "answer": answer, "out": str(args.out)}
+    print_result(args, content, shown)
     return 1 if failed else 0

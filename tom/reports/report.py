@@ -9,6 +9,9 @@ from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
+
+import pandas as pd
 
 from tom import readable
 from tom.harmless import cell
@@ -39,16 +42,18 @@ def write_report(
     figures: Sequence[tuple[str, Path]] = (),
     tables: Sequence[tuple[str, Rows]] = (),
     origin: Mapping[str, str] = MappingProxyType({}),
+    answer: Sequence[str] = (),
 ) -> None:
     """Write `report.html` and its words, `report.json`, into `folder`.
 
     `claim` is the paper's, `figures` are (caption, path of a PNG), `tables` (title, rows), `origin`
-    is how it was made.
+    is how it was made. `answer` stands first on the page; `report.json` does not have it.
     """
     head = html.escape(title)
     parts = [
         f'<meta charset="utf-8"><title>{head}</title><style>{STYLE}</style></head><body>',
         f"<h1>{head}</h1>",
+        *(f"<p>{html.escape(line)}</p>" for line in answer),
         "<h2>What the paper says</h2>",
         f"<blockquote>{html.escape(claim)}</blockquote>",
         "<h2>What was found here</h2>",
@@ -89,6 +94,27 @@ def write_csv(path: Path, rows: Iterable[Mapping[str, object]]) -> None:
             writer = csv.DictWriter(file, list(listed[0]))
             writer.writerow({name: cell(name) for name in listed[0]})
             writer.writerows({name: cell(value) for name, value in row.items()} for row in listed)
+
+
+def read_csv(path: Path) -> pd.DataFrame | None:
+    """The rows of a table; None if there are none, or it cannot be read."""
+    try:
+        return pd.read_csv(path)
+    except (OSError, ValueError):  # pandas raises ValueError for a damaged file
+        return None
+
+
+def read_tables(paths: Iterable[Path]) -> dict[str, list[dict[str, Any]]]:
+    """The rows of the tables that can be read, by the files' names."""
+    read = ((path.stem, read_csv(path)) for path in paths)
+    return {
+        name: [
+            {str(column): value for column, value in row.items()}
+            for row in table.to_dict("records")
+        ]
+        for name, table in read
+        if table is not None
+    }
 
 
 def origin() -> dict[str, str]:
