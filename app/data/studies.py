@@ -31,7 +31,7 @@ class Study:
     claim: str = ""
     """what the paper says"""
     findings: tuple[str, ...] = ()
-    """the verdict, in sentences"""
+    """what was found, in sentences"""
     origin: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -7,12 +7,10 @@ what is printed, and the exit code.
 import signal
 import time
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from matplotlib import rc_context
 
@@ -27,7 +25,6 @@ from tom.studies import STUDIES, load
 from tom.studies.study import Findings, make_folder, say
 from tom.studies.verdicts import verdict_of
 
-_BEGUN = time.monotonic()  # a study is a separate process
 LONG = 60
 """maximum lines of a table that is printed"""
 
@@ -76,45 +73,30 @@ def run(study: ModuleType, args: Namespace) -> int:
 
 
 def _run(study: ModuleType, args: Namespace) -> int:
+    begun = time.monotonic()
     with rc_context(STYLE):
         found: Findings = study.find(args)
     make_folder(args.out)
-    judged = [row for row in found.checks if row["met"] is not None]
-    failed = [str(row["name"]) for row in judged if not row["met"]]
-    sentences = list(found.sentences)
-    if judged:
-        met = len(judged) - len(failed)
-        sentences.append(f"{met} of {len(judged)} figures of our acceptance are met.")
-    if failed:
-        sentences.append(f"Not met: {'; '.join(failed)}.")
     files = {name: list(rows) for name, rows in found.files.items()}
-    tables: list[tuple[str, Sequence[Mapping[str, Any]]]]
-    tables = [(title, files[name]) for name, title in found.titles.items()]
-    content: dict[str, Any] = {name: files[name] for name in found.titles}
+    titles = dict(found.titles)
     if found.checks:
-        files["checks"] = content["checks"] = list(found.checks)
-        answers = {True: "yes", False: "NO", None: ""}
-        rows = [{**row, "met": answers[row["met"]]} for row in found.checks]
-        tables.insert(0, ("Acceptance", rows))
-    paths = {args.out / f"{name}.csv": rows for name, rows in files.items()}
-    for path, rows in paths.items():
-        write_csv(path, rows)
-    answer = []
-    if verdict := verdict_of(study, read_tables(paths)):
-        answer = [verdict.question or study.QUESTION, f"{verdict.word}. {verdict.sentence}"]
+        files["checks"], titles = list(found.checks), {"checks": "Acceptance", **titles}
+    for name, rows in files.items():
+        write_csv(args.out / f"{name}.csv", rows)
+    sentences = list(found.sentences)
+    if verdict := verdict_of(study, read_tables(args.out / f"{name}.csv" for name in files)):
+        question = verdict.question or study.QUESTION
+        sentences.append(f"{question} {verdict.word}. {verdict.sentence}")
         if verdict.against:
-            answer.append(f"Against it: {verdict.against}")
+            sentences.append(f"Against it: {verdict.against}")
     pictures = [
         (caption, save(figure, args.out, name)[0])
         for name, (caption, figure) in found.figures.items()
     ]
-    hours = (
-        f"{(time.monotonic() - _BEGUN) / 3600:.2f} (cases kept from an earlier call not counted)"
-    )
+    hours = f"{(time.monotonic() - begun) / 3600:.2f} (cases kept from an earlier call not counted)"
     made = origin() | {"hours": hours} | dict(found.origin)
-    write_report(
-        args.out, study.TITLE, study.CLAIM, sentences, pictures, tables, made, answer=answer
-    )
+    tables = [(title, files[name]) for name, title in titles.items()]
+    write_report(args.out, study.TITLE, study.CLAIM, sentences, pictures, tables, made)
 
     def shown() -> None:
         for title, rows in tables:
@@ -122,8 +104,8 @@ def _run(study: ModuleType, args: Namespace) -> int:
                 show_rows(title, rows)
             elif rows:
                 print(f"{title}: in the report")
-        print("\n".join([*sentences, *answer, str(args.out)]))
+        print("\n".join([*sentences, str(args.out)]))
 
-    content |= {"verdict": sentences, "answer": answer, "out": str(args.out)}
-    print_result(args, content, shown)
-    return 1 if failed else 0
+    content = {name: files[name] for name in titles}
+    print_result(args, content | {"verdict": sentences, "out": str(args.out)}, shown)
+    return int(any(row["met"] is False for row in found.checks))

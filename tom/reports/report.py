@@ -42,18 +42,16 @@ def write_report(
     figures: Sequence[tuple[str, Path]] = (),
     tables: Sequence[tuple[str, Rows]] = (),
     origin: Mapping[str, str] = MappingProxyType({}),
-    answer: Sequence[str] = (),
 ) -> None:
     """Write `report.html` and its words, `report.json`, into `folder`.
 
     `claim` is the paper's, `figures` are (caption, path of a PNG), `tables` (title, rows), `origin`
-    is how it was made. `answer` stands first on the page; `report.json` does not have it.
+    is how it was made.
     """
     head = html.escape(title)
     parts = [
         f'<meta charset="utf-8"><title>{head}</title><style>{STYLE}</style></head><body>',
         f"<h1>{head}</h1>",
-        *(f"<p>{html.escape(line)}</p>" for line in answer),
         "<h2>What the paper says</h2>",
         f"<blockquote>{html.escape(claim)}</blockquote>",
         "<h2>What was found here</h2>",

@@ -305,12 +305,10 @@ def in_sentences(trials: Sequence[Row], rows: Sequence[Row]) -> list[str]:
         sentences.append(f"SAC diverged in {lost} trials, which are left out.")
     for row in (row for row in rows if row["p"] != ""):
         less = row["recordings"] - row["better on"]
-        decided = "better" if row["better on"] > less else "worse"
         sentences.append(
             f"{row['way']}, {row['what'].partition(', ')[2]}: better in {row['better in trials']} "
             f"of {row['n']} trials; better in most of them on {row['better on']} recordings, worse "
-            f"on {less} (sign test p = {row['p']:.2f}): "
-            + ("undecided." if row["p"] >= 0.05 else f"{decided} than uniform weights.")
+            f"on {less} (sign test p = {row['p']:.2f})."
         )
     return sentences
 

@@ -26,7 +26,6 @@ from tom.reports.figures import Panel, profile_figure
 from tom.reports.report import origin_of_runs
 from tom.spread import spread
 from tom.studies.frozen import LABELS, OF_TOM
-from tom.studies.returns_cells import PAPER_ENVS
 from tom.studies.study import Findings, Row, add_groups, add_runs, check_groups, tasks
 from tom.studies.verdicts import Point, Tables, Verdict
 
@@ -139,11 +138,7 @@ def _profiles(panels: Sequence[RunProfiles]) -> Iterator[Row]:
 
 
 def in_sentences(rows: Sequence[Row]) -> list[str]:
-    """For each learner, how much of its weight is not at the newest end of the buffer.
-
-    That is also true of even weights. So the paper's claim is tested on profiles that are not even,
-    and on their excess over even weights, in the paper's tasks.
-    """
+    """For each learner, how much of its weight is not at the newest end of the buffer."""
     sentences = []
     for name in dict.fromkeys(row["learner"] for row in rows):
         own = [row for row in rows if row["learner"] == name]
@@ -154,25 +149,19 @@ def in_sentences(rows: Sequence[Row]) -> list[str]:
             f"{sum(row['peak at'] < 1 - NEWEST for row in own)} the peak does; "
             f"{len({row['run'] for row in own})} runs, one seed each."
         )
-    toms = [row for row in rows if row["learner"].split(",")[0] == LEARNERS["tom"].label]
-    if of_paper := [row["excess there"] for row in toms if row["env"] in PAPER_ENVS]:
-        uneven = [share for share in of_paper if isfinite(share)]
-        agree = sum(share < 0.5 for share in uneven)
-        says = ("Half of them is no verdict.", "So the paper says.", "The paper says otherwise.")
-        sentences.append(
-            "What lies above even weights lies mostly before the newest tenth in "
-            f"{agree} of the {len(uneven)} profiles of TOM that are not nearly even. "
-            f"{says[int(np.sign(2 * agree - len(uneven)))]}"
-            if uneven
-            else "All of TOM's are nearly even: nothing to hold against the paper."
-        )
     return sentences
 
 
 def verdict(tables: Tables) -> Verdict:
-    """By what most of TOM's profiles show; there is no test of single runs."""
+    """By what most of TOM's profiles show; there is no test of single runs.
+
+    Most weight lies before the newest tenth if it is even, too. So what counts is the excess over
+    even weights. Raises ValueError if all profiles are nearly even.
+    """
     rows = [row for row in tables["online"] if row["learner"] in OF_TOM]
     uneven = [row["excess there"] for row in rows if isfinite(row["excess there"])]
+    if not uneven:
+        raise ValueError("nothing to judge")
     early = sum(share < 0.5 for share in uneven)
     sentence = (
         f"In {early} of {len(uneven)} profiles most of the weight above even weights lies before "

@@ -34,7 +34,6 @@ from tom.studies.study import (
     Findings,
     Row,
     add_recordings,
-    agreement_with_paper,
     check,
     compute,
     recordings,
@@ -229,7 +228,7 @@ def finding(
 
 
 def in_sentences(found: Sequence[Row]) -> list[str]:
-    """Whether TOM's weights are low on random data, rise, and rise before the end."""
+    """On how many recordings TOM's weights are low on random data, rise, and rise early."""
     sentences = []
     for quantity, (what, holds) in CLAIMS.items():
         wanted = ("own", "tom", quantity)
@@ -242,8 +241,7 @@ def in_sentences(found: Sequence[Row]) -> list[str]:
             held = sum(map(holds, values))
             sentences.append(
                 f"TOM's weights {what} in {held} of {len(values)} recordings "
-                f"({', '.join(f'{value:.3g}' for value in values)}): "
-                f"{agreement_with_paper(held, len(values))}"
+                f"({', '.join(f'{value:.3g}' for value in values)})."
             )
     return sentences
 
