@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
-
 from tom.errors import UserError
 from tom.record.files import read_json
 from tom.record.store import Store
@@ -92,16 +90,6 @@ def listing(*places: Path) -> list[Study]:
 def report(name: str, *places: Path) -> Path | None:
     """The report of the study `name`; None if there is no such study."""
     return next((study.report for study in listing(*places) if study.name == name), None)
-
-
-def is_picture(path: Path) -> bool:
-    """Whether a figure can be shown."""
-    try:
-        with Image.open(path) as image:
-            image.load()
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-        return False
-    return True
 
 
 def _files(folder: Path, kind: Callable[[Path], bool]) -> list[Path]:

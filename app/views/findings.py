@@ -1,6 +1,7 @@
 """Findings: a card for each question, from the results of `tom reproduce`, and each whole."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
@@ -106,8 +107,8 @@ def _card(study: Study, head: DeltaGenerator) -> None:
     the verdict, its own picture.
     """
     found = verdict(study)
-    asked = (found and found.question) or study.question
-    head.header(text.markdown(asked or study.name), anchor=False)
+    asked = _question(study, found)
+    head.header(text.markdown(asked), anchor=False)
     if found is not None:
         place = _draw_verdict(found)
     else:
@@ -122,8 +123,9 @@ def _card(study: Study, head: DeltaGenerator) -> None:
         caption = f"{asked} {found.sentence}{bars}"
         with place:
             chart(figure, f"verdict {study.name}", f"{asked}: {found.axis}", caption=caption)
-    elif study.figures and studies.is_picture(study.figures[0]):
-        place.image(str(study.figures[0]), alt=f"{study.figures[0].stem}: {asked or study.name}")
+    elif study.figures:
+        with place:
+            _draw_picture(study.figures[0], asked)
     _command(study, "The command")
     st.button(
         "The whole study", key=f"open {study.name}",
@@ -131,12 +133,23 @@ def _card(study: Study, head: DeltaGenerator) -> None:
     )  # fmt: skip
 
 
+def _question(study: Study, found: Verdict | None) -> str:
+    """What a study asks; its name if nobody knows."""
+    return (found and found.question) or study.question or study.name
+
+
+def _draw_picture(figure: Path, asked: str) -> None:
+    try:
+        st.image(str(figure), alt=f"{figure.stem}: {asked}")
+    except (OSError, ValueError, SyntaxError):  # of Pillow
+        st.warning(f"{text.markdown(figure.name)} cannot be read.")
+
+
 def _whole(study: Study) -> None:
     """The paper's claim, the result, the command, and all figures and tables."""
     head = st.columns([5, 1], vertical_alignment="center")
-    found = verdict(study)
-    asked = (found and found.question) or study.question
-    head[0].header(text.markdown(asked or study.name), anchor=False)
+    asked = _question(study, verdict(study))
+    head[0].header(text.markdown(asked), anchor=False)
     if study.report is not None:
         where = f"reports/{quote(study.name)}"
         head[1].link_button("Whole report", where, icon=":material/open_in_new:", width="stretch")
@@ -151,10 +164,7 @@ def _whole(study: Study) -> None:
         st.caption(text.markdown(" · ".join(made)))
     for figure in study.figures:
         with st.container(border=True):
-            if studies.is_picture(figure):
-                st.image(str(figure), alt=f"{figure.stem}: {asked or study.name}")
-            else:
-                st.warning(f"{text.markdown(figure.name)} cannot be read.")
+            _draw_picture(figure, asked)
     for path in study.tables:
         table = read_csv(path)
         if table is None:
