@@ -25,7 +25,7 @@ from tom.record import Store
 from tom.reports.figures import NEUTRAL, learner_colour, new_figure
 from tom.reports.report import origin_of_runs
 from tom.studies.frozen import LABELS, OF_TOM
-from tom.studies.returns_cells import PAPER_ENVS, Cell, all_cells, compared_at, select
+from tom.studies.returns_cells import PAPER_ENVS, Cell, compared_at, select
 from tom.studies.returns_tables import (
     FACTORS,
     MEASURES,
@@ -148,18 +148,15 @@ def _chosen(args: Namespace, envs: Sequence[str]) -> tuple[list[Cell], list[Cell
     groups = args.groups and [
         ", ".join(word for word in group.split(", ") if word != usual) for group in args.groups
     ]
-    have = sorted({cell.label for cell in all_cells(runs, args.preset, {}, args.apart)[0]})
-    for group in groups or ():
-        if group not in have:
-            raise UserError(f"--groups: no such run is of '{group}', but of: {'; '.join(have)}")
     cells, left_out = select(runs, *args.preset, at=at, apart=args.apart, groups=groups)
-    if not cells or {*(groups or ())}.difference(cell.label for cell in cells):
+    left = {cell.label for cell in cells}
+    if not cells or {*(groups or ())} - left:
         asked = {"--at": args.at, "--seeds": args.seeds, "--groups": groups}
         words = (f"{option} {' '.join(map(str, of))}" for option, of in asked.items() if of)
-        left = "; ".join(dict.fromkeys(cell.label for cell in cells)) or "nobody"
+        every = "; ".join(sorted({cell.label for cell in whole}))
         raise UserError(
-            f"{' '.join(words)}: {left} can be compared there; the longest run of all ends at "
-            f"{max(cell.longest for cell in whole):.0f}"
+            f"{' '.join(words)}: {'; '.join(sorted(left)) or 'nobody'} can be compared there, of "
+            f"{every}; the longest run of all ends at {max(cell.longest for cell in whole):.0f}"
         )
     return whole, cells, left_out
 

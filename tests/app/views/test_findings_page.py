@@ -16,7 +16,7 @@ from studio_pages import Show, draw, figures
 from studio_runs import PENDULUM_TOM
 
 from app.data import readers, studies
-from app.data.verdicts import on_two_axes, verdict
+from app.data.verdicts import on_two_axes
 from app.links import Links
 from app.parts import jobs
 from app.servers.pages import routes
@@ -123,14 +123,6 @@ def test_studies_of_one_question_share_a_card(tmp_path: Path, monkeypatch: pytes
     assert app.button_group(key="study").options[1:] == ["capacity", "capacity-ways"]
     app.button_group(key="study").set_value("Every question").run()
     assert "study" not in app.query_params
-
-
-def test_a_study_without_toms_weights_asks_about_the_ways_that_it_has() -> None:
-    listed = {study.name: study for study in studies.listing(GALLERY)}
-    asked = {n: present(verdict(listed[n])).question for n in ("capacity", "capacity-ways")}
-    assert not asked["capacity"]  # the study's own
-    assert "PMER" in asked["capacity-ways"]
-    assert "TOM" not in asked["capacity-ways"]
 
 
 def test_a_study_says_the_claim_the_verdict_and_the_command(reports: Path) -> None:

@@ -1,0 +1,226 @@
+"""The words of verdicts follow from the tables by the stated rule."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tom.reports.report import read_csv, read_tables
+from tom.studies import STUDIES, load, two_axes
+from tom.studies.verdicts import Verdict, verdict_of
+
+GALLERY = Path(__file__).parents[3] / "runs" / "studies"
+
+
+def of(name: str, folder: Path = GALLERY) -> Verdict:
+    study = load(name.partition("-")[0])
+    found = verdict_of(study, read_tables((folder / name).glob("*.csv")))
+    assert found is not None
+    return found
+
+
+def read(name: str, table: str) -> Any:
+    return read_csv(GALLERY / name / f"{table}.csv")
+
+
+def on_two_axes(near: Any, errs: Any) -> Verdict:
+    return two_axes.verdict(near.to_dict("records"), errs.to_dict("records"))
+
+
+@pytest.mark.parametrize(
+    ("line", "way"), [("TOM mended", "tom-mended"), ("TOM as printed", "tom-discounted")]
+)
+def test_the_distances_are_medians_over_moments_averaged_over_recordings_and_tasks(
+    line: str, way: str
+):
+    moments = read("footprint", "moments")
+    told = moments[(moments["way"] == way) & (moments["footprint_noise"].abs() < 1)]
+    medians = told.groupby(["env", "recording"])["footprint"].median()
+    [point] = [point for point in of("footprint").points if point.line == line]
+    assert point.value == pytest.approx(medians.groupby(level="env").mean().mean(), rel=1e-6)
+    assert point.low < point.value < point.high < 1
+    assert of("footprint").word == "Yes"
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "said"),
+    [(0.05, 0.2, "further"), (-0.2, -0.05, "nearer"), (-0.1, 0.1, "cannot be told")],
+)
+def test_a_rival_is_judged_by_the_interval_of_the_difference(
+    tmp_path: Path, low: float, high: float, said: str
+):
+    shutil.copytree(GALLERY / "footprint", tmp_path / "footprint")
+    table = read("footprint", "head-to-head")
+    row = (table["way"] == "tom-mended") & (table["against"] == "recency")
+    assert row.any()
+    table.loc[row, ["difference", "low", "high"]] = -(low + high) / 2, -high, -low
+    table.to_csv(tmp_path / "footprint" / "head-to-head.csv", index=False)
+    assert said in of("footprint", tmp_path).against
+
+
+def test_the_least_p_is_corrected_for_all_tests_that_are_shown():
+    table = read("capacity", "head-to-head")
+    shown = table.loc[table["against"] == "uniform", "p"]
+    found = of("capacity")
+    assert found.word == "In part"  # small models gain, the paper's loses
+    assert len(found.points) == len(shown)
+    assert f"{len(shown) * min(shown):.2g}" in found.against
+
+
+def test_a_study_without_tom_is_judged_by_the_ways_it_has():
+    found = of("capacity-ways")
+    assert {point.series for point in found.points} == {"policy distance", "PMER"}
+    assert found.word == "No"  # one errs more, the other no less
+    assert "PMER" in found.question
+    assert "TOM" not in found.question
+    assert not of("capacity").question  # the study's own
+    assert of("footprint-ways").word == "Yes"
+
+
+@pytest.mark.parametrize(
+    ("wins", "p", "word"),
+    [(0.9, 0.01, "Yes"), (0.1, 0.01, "No"), (0.9, 0.2, "No difference seen")],
+)
+def test_returns_are_judged_by_the_corrected_p(tmp_path: Path, wins: float, p: float, word: str):
+    shutil.copytree(GALLERY / "returns", tmp_path / "returns")
+    table = read("returns", "improvement")
+    table.loc[table["learner"].str.startswith("TOM"), ["wins", "p of all"]] = wins, p
+    table.to_csv(tmp_path / "returns" / "improvement.csv", index=False)
+    assert of("returns", tmp_path).word == word
+
+
+@pytest.mark.parametrize(("p", "word"), [(0.01, "In part"), (0.2, "No difference seen")])
+def test_model_and_starts_are_judged_by_the_corrected_p(tmp_path: Path, p: float, word: str):
+    shutil.copytree(GALLERY / "returns-apart-40000", tmp_path / "returns-apart-40000")
+    table = read("returns-apart-40000", "factors")
+    starts = (table["effect of"] == "weighted starts") & (table["by"] == "area under the curve")
+    table.loc[starts, ["effect", "p of all"]] = 123.4, p
+    table.to_csv(tmp_path / "returns-apart-40000" / "factors.csv", index=False)
+    found = of("returns-apart-40000", tmp_path)
+    assert found.word == word
+    assert 123.4 in [point.value for point in found.points]
+    assert "+123" in found.sentence
+
+
+def test_no_trial_s_share_is_beyond_chance():
+    found = of("improvement")
+    assert found.word == "No difference seen"
+    table = read("improvement", "summary").dropna(subset="p")
+    shares = table["better in trials"] / table["n"]
+    assert [point.value for point in found.points] == pytest.approx([*shares])
+    better = table["better in trials"].astype(int)
+    assert f" {better.min()} of 44 " in found.sentence
+    assert f" {better.max()} of 44 " in found.sentence
+
+
+@pytest.mark.parametrize(
+    ("name", "met", "word"),
+    [
+        ("road", ["True", "True", ""], "Yes"),
+        ("tabular", ["True", "False"], "In part"),
+        ("progression", ["False", "False", ""], "No"),
+    ],
+)
+def test_an_acceptance_is_judged_by_the_numbers_that_are_met(
+    tmp_path: Path, name: str, met: list[str], word: str
+):
+    (tmp_path / name).mkdir()
+    lines = [f"number {i},{one}" for i, one in enumerate(met)]
+    (tmp_path / name / "checks.csv").write_text("\n".join(["name,met", *lines]))
+    found = of(name, tmp_path)
+    assert (found.word, bool(found.against)) == (word, "False" in met)
+    assert [f"number {i}" in found.against for i, one in enumerate(met)] == [
+        one == "False" for one in met
+    ]
+
+
+@pytest.mark.parametrize(
+    ("recordings", "shares", "word"),
+    [(7, (0.5, 0.5), "Yes"), (7, (2.0, 0.5), "In part"), (4, (0.5, 0.5), "No difference seen")],
+)
+def test_a_models_error_is_judged_by_a_sign_test_over_recordings(
+    tmp_path: Path, recordings: int, shares: tuple[float, float], word: str
+):
+    (tmp_path / "focus").mkdir()
+    rows = [
+        f"hopper-s{i},{rival},{share},3"
+        for i in range(recordings)
+        for rival, share in zip(("mle", "tom paper", "tom mended"), (1.0, *shares), strict=True)
+    ]
+    head = "recording,rival,policy / mle,random / mle"
+    (tmp_path / "focus" / "summary.csv").write_text("\n".join([head, *rows]))
+    found = of("focus", tmp_path)
+    assert found.word == word  # 2 / 2 ** 7 for each of two presets, 2 / 2 ** 4
+    assert sorted({point.value for point in found.points}) == sorted({*shares})
+    assert f"{2 / 2**recordings:.2g}" in found.against
+
+
+@pytest.mark.parametrize(
+    ("shares", "word"), [((0.9, 0.8, 0.2), "No"), ((0.1, 0.2, 0.9), "Yes"), ((0.1, 0.9), "In part")]
+)
+def test_profiles_are_judged_by_where_most_of_them_lie(
+    tmp_path: Path, shares: tuple[float, ...], word: str
+):
+    (tmp_path / "online").mkdir()
+    rows = [f"ant,TOM,{step},{share / 2},{share},r" for step, share in enumerate(shares)]
+    head = "env,learner,step,newest tenth,excess there,run"
+    (tmp_path / "online" / "online.csv").write_text("\n".join([head, *rows, "ant,TOM,9,0.1,,r"]))
+    found = of("online", tmp_path)
+    assert found.word == word
+    assert f"{sum(share < 0.5 for share in shares)} of {len(shares)} " in found.sentence
+    assert [point.value for point in found.points] == [
+        pytest.approx(np.median([*(share / 2 for share in shares), 0.1]))
+    ]
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_tables_of_another_version_have_no_verdict(name: str):
+    other = {key: [{"a": 1}] for key in ("summary", "online", "improvement", "checks")}
+    assert verdict_of(load(name), {}) is None
+    assert verdict_of(load(name), other) is None
+
+
+KEY = ["env", "recording", "step"]
+
+
+def over_recordings(of_moments: Any, env: str, way: str) -> Any:
+    """Mean, least and most of the medians over each recording's moments."""
+    medians = of_moments.groupby(level=["env", "recording"]).median()
+    return medians.groupby(level="env").agg(["mean", "min", "max"]).loc[env, way]
+
+
+def test_a_way_stands_at_its_mean_over_recordings_with_their_spread():
+    near, errs = read("footprint", "moments"), read("capacity", "moments")
+    panels = on_two_axes(near, errs).panels
+    near = near[near["footprint_noise"].abs() < 1].pivot(index=KEY, columns="way")["footprint"]
+    errs = errs.pivot(index=KEY, columns="way")["error 200 x 4"]
+    errs = errs.div(errs["uniform"], axis=0).apply(np.log)
+    n = near.dropna(how="all").groupby(level="env").size()
+    assert (n <= errs.groupby(level="env").size()).all()  # of some moments the distance is noise
+    assert {panel.env for panel in panels} == {*n.index}
+    for panel in panels:
+        assert panel.moments == n[panel.env]
+        assert {way for way, *_ in panel.ways} == {*near} & {*errs}
+        for way, distance, error in panel.ways:
+            for found, table in ((distance, near), (error, errs)):
+                ends = over_recordings(table, panel.env, way)
+                value, least, most = np.exp(ends) if table is errs else ends
+                assert found.value == pytest.approx(value)
+                if panel.recordings == 2:  # all resamples of two lie between them, some on them
+                    assert (found.low, found.high) == pytest.approx((least, most))
+                assert least - 1e-9 <= found.low <= found.high <= most + 1e-9
+
+
+@pytest.mark.parametrize(("error", "word"), [(0.01, "Yes"), (100, "No"), (1, "In part")])
+def test_the_answer_is_yes_where_a_way_is_better_on_both_axes(error: float, word: str):
+    near, errs = read("footprint", "moments"), read("capacity", "moments")
+    errs.loc[errs["way"] != "uniform", "error 200 x 4"] *= error
+    found = on_two_axes(near, errs)
+    assert found.word == word
+    assert "VaGram" in found.caption  # no model was fitted with its weights
+    of_hopper = on_two_axes(near[near["env"] == "hopper"], errs)
+    assert [panel.env for panel in of_hopper.panels] == ["hopper"]
+    with pytest.raises(ValueError, match="nothing to judge"):
+        on_two_axes(near, errs[:0])
