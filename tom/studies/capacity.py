@@ -63,8 +63,8 @@ def find(args: Namespace) -> Findings:
     outcomes = outcomes_of(args, args.models)
     if args.table and not any(ratios(outcomes, ERROR)):
         raise UserError(
-            f"{args.table} has no moment with both uniform and other weights, "
-            "whose errors are compared: name the moments.csv of another report"
+            f"{args.table} has no moment with errors of models under both uniform and other "
+            "weights, which are compared: name the moments.csv of another report"
         )
     rows, pairs = summary(outcomes), head_to_head(outcomes)
     figures = {

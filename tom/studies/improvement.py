@@ -117,7 +117,7 @@ def find(args: Namespace) -> Findings:
     requested = [replace(case, updates=args.updates, episodes=args.episodes) for case in requested]
     trials = compute(args, improve, requested, outcome_label)
     rows, figures = summary(trials), {"improvement": (CAPTION, improvement_figure(trials))}
-    return findings(args, in_sentences(trials, rows), {"summary": rows}, trials, figures)
+    return findings(args, in_sentences(trials), {"summary": rows}, trials, figures)
 
 
 def _runs(args: Namespace) -> list[RunReader]:
@@ -285,8 +285,8 @@ def summary(trials: Sequence[Row]) -> list[Row]:
     return rows
 
 
-def in_sentences(trials: Sequence[Row], rows: Sequence[Row]) -> list[str]:
-    """The table in words, how far chance moves a return, and what cannot be said."""
+def in_sentences(trials: Sequence[Row]) -> list[str]:
+    """How many trials there are, how far chance moves a return, and what cannot be said."""
     keys = {trial_of(one) for one in trials}
     moments = {(recording, step) for recording, step, _ in keys}
     sentences = [
@@ -303,13 +303,6 @@ def in_sentences(trials: Sequence[Row], rows: Sequence[Row]) -> list[str]:
         sentences[0] += f" Two seeds of uniform weights differ by (median): {', '.join(noise)}."
     if lost := sum(not isfinite(sum(trial[place] for place in PLACES)) for trial in trials):
         sentences.append(f"SAC diverged in {lost} trials, which are left out.")
-    for row in (row for row in rows if row["p"] != ""):
-        less = row["recordings"] - row["better on"]
-        sentences.append(
-            f"{row['way']}, {row['what'].partition(', ')[2]}: better in {row['better in trials']} "
-            f"of {row['n']} trials; better in most of them on {row['better on']} recordings, worse "
-            f"on {less} (sign test p = {row['p']:.2f})."
-        )
     return sentences
 
 

@@ -130,7 +130,6 @@ def test_a_footprints_summary_by_hand():
     assert ratio["below uniform"] == 0.5
     assert ratio["n"] == 4
     assert ratio["ends over policy's"] == pytest.approx(0.10 / 0.04)
-    assert any("ratio 1.45" in line for line in footprint.in_sentences(found))
 
 
 def test_a_way_without_a_moment_in_a_task_has_a_dash_there():
@@ -221,7 +220,6 @@ def test_two_ways_are_compared_moment_by_moment():
     assert np.isnan(footprint.head_to_head(outcomes)[0]["ant"])  # all rows have the same columns
     # Nearer in most moments on a, c and d, further on b: as uneven by chance 10 times in 16.
     assert (row["better on"], row["recordings"], row["p"]) == (3, 4, 0.625)
-    assert "on top of the discriminator?" in footprint.in_sentences(outcomes)[-1]
 
 
 def test_a_sign_test_counts_recordings_by_hand():
@@ -261,8 +259,6 @@ def test_two_ways_are_compared_for_every_model():
     assert (linear["low"], linear["high"]) == pytest.approx((0.5, 2.0))
     assert (linear["less at"], linear["n"]) == (1, 2)
     assert small["ratio"] == small["hopper"] == pytest.approx(np.sqrt(3.0))
-    last = capacity.in_sentences([], rows)[-1]
-    assert "linear 1.00 [0.50, 2.00]" in last
     assert (small["better on"], small["recordings"], small["p"]) == (0, 2, 0.5)
 
 
