@@ -19,13 +19,12 @@ def on_two_axes(listed: Sequence[Study]) -> dict[str, Verdict]:
 
     Without moments of both there is no answer.
     """
-    by_ending: dict[str, dict[str, Study]] = {}
-    for study in listed:
-        by_ending.setdefault(study.name.removeprefix(study.verb), {}).setdefault(study.verb, study)
+    by_ending = {(study.verb, study.name.removeprefix(study.verb)): study for study in listed}
     found = {}
-    for by_verb in by_ending.values():
-        with suppress(KeyError, ValueError):  # one is not computed, or tables of another version
-            near, errs = (by_verb[verb] for verb in ("footprint", "capacity"))
-            moments = (read_tables(study.tables)["moments"] for study in (near, errs))
-            found[errs.name] = two_axes.verdict(*moments)
+    for (verb, ending), errs in by_ending.items():
+        if verb == "capacity":
+            with suppress(KeyError, ValueError):  # no such footprint study, or of another version
+                both = by_ending["footprint", ending], errs
+                moments = (read_tables(study.tables)["moments"] for study in both)
+                found[errs.name] = two_axes.verdict(*moments)
     return found

@@ -233,12 +233,12 @@ def near_exact(family: str, rows: Sequence[Row]) -> list[Row]:
 
 def in_sentences(table: Sequence[Row]) -> list[str]:
     """How exact the estimates are, of the estimator that is judged and as the paper has it."""
-    descriptions = {
-        row["variant"]: f"{row['variant']}: rank correlation {row['spearman']:.2f}, relative L1 "
-        f"error {row['l1']:.2f} (medians)."
+    return [
+        f"{row['variant']}: rank correlation {row['spearman']:.2f}, relative L1 error "
+        f"{row['l1']:.2f} (medians)."
         for row in table
-    }
-    return [descriptions[name] for name in (JUDGED.label, PAPER) if name in descriptions]
+        if row["variant"] in (JUDGED.label, PAPER)
+    ]
 
 
 def _points(estimates: Sequence[Estimate]) -> Iterator[Row]:
