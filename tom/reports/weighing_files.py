@@ -52,8 +52,6 @@ BRUSH = "brush"
 """entry of the report of `tom brush`"""
 ROWS = "rows_digest"
 """entry of a report whose weighing holds its rows: their digest"""
-SEGMENT_BYTES = 64 * 2**20
-"""bytes of rows per file"""
 
 
 # Read.
@@ -263,14 +261,10 @@ def write(
         if not data.stored:
             rows, version = data.transitions.numpy(), data.policy_version.numpy()
             behaviour = None if data.behaviour is None else data.behaviour.numpy()
-            width = 4 * (2 * np.shape(rows.obs)[1] + np.shape(rows.action)[1] + 5)
-            (folder / layout.segment(0)).parent.mkdir()
-            for first in range(0, len(rows), at_once := max(SEGMENT_BYTES // width, 1)):
-                part = slice(first, first + at_once)
-                known = None if behaviour is None else behaviour[part]
-                collected = Collected(0, rows[part], version[part], behaviour=known)
-                arrays = decode.transition_arrays(collected)
-                np.savez(folder / layout.segment(first), allow_pickle=False, **arrays)
+            collected = Collected(0, rows, version, behaviour=behaviour)
+            segment = folder / layout.segment(0)
+            segment.parent.mkdir()
+            np.savez(segment, allow_pickle=False, **decode.transition_arrays(collected))
             # Readers of runs find the task there.
             said = {"schema": layout.SCHEMA, "env": data.env, "task": description(data.env)}
             # For those who weigh these rows from here.

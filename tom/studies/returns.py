@@ -27,7 +27,6 @@ from tom.reports.report import origin_of_runs
 from tom.studies.frozen import LABELS, OF_TOM
 from tom.studies.returns_cells import PAPER_ENVS, Cell, compared_at, select
 from tom.studies.returns_tables import (
-    FACTORS,
     MEASURES,
     exams,
     factors,
@@ -248,7 +247,9 @@ def _places(ranked: Sequence[Cell]) -> list[str]:
 
 def verdict(tables: Tables) -> Verdict:
     """By the effect of each place where weights act, if it is known; else by wins over MLE."""
-    return _of_factors(tables[FACTORS]) if FACTORS in tables else _of_wins(tables["improvement"])
+    if "factors" in tables:
+        return _of_factors(tables["factors"])
+    return _of_wins(tables["improvement"])
 
 
 def _of_wins(rows: Sequence[Row]) -> Verdict:

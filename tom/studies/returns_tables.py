@@ -36,8 +36,6 @@ from tom.studies.study import Row
 
 PAPER_SEEDS = 4
 RIVAL = "mle"
-FACTORS = "factors"
-"""the table of returns with weights in the model, in the starts, in both or in none"""
 MEASURES = {BEST: "best return", FINAL: "last return", HEIGHT: "area under the curve"}
 """the scores by which learners are compared, in words"""
 
