@@ -155,12 +155,11 @@ def _config(env: str, rival: str, preset: str) -> OnlineConfig:
 
 
 def shares(results: Sequence[Row]) -> list[Row]:
-    """The results with errors relative to MLE's on the same recording and seed; without MLE's."""
+    """The results with errors relative to MLE's on the same recording and seed."""
     mle = {(one["recording"], one["seed"]): one for one in results if one["rival"] == "mle"}
     return [
-        {**one, **{name: one[name] / base[name] for name in QUANTITIES}}
+        one | {name: one[name] / mle[one["recording"], one["seed"]][name] for name in QUANTITIES}
         for one in results
-        if (base := mle.get((one["recording"], one["seed"])))
     ]
 
 
@@ -175,7 +174,7 @@ def summary(results: Sequence[Row]) -> list[Row]:
         row: Row = {"recording": key[0], "rival": key[1], "ess": median(one["ess"] for one in own)}
         for name in QUANTITIES:
             row[name] = median(one[name] for one in own)
-            row[f"{name} / mle"] = median(one[name] for one in over) if over else nan
+            row[f"{name} / mle"] = median(one[name] for one in over)
         rows.append(row)
     return rows
 

@@ -125,7 +125,7 @@ def first_sac_step(run: RunReader) -> float:
     named = ("exploration_steps",) if run.fits_model else ("exploration_steps", "steps")
     try:
         return sum(run.config["config"][name] for name in named)
-    except (KeyError, TypeError):
+    except KeyError:
         return inf
 
 

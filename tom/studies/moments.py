@@ -17,7 +17,7 @@ import pandas as pd
 from scipy.stats import binomtest
 
 from tom.analysis.statistics import Interval, interval, mean
-from tom.envs import ENVS, ROAD, task, task_rank
+from tom.envs import ENVS, task, task_rank
 from tom.errors import UserError, check_known, reason
 from tom.exams import informative
 from tom.readable import whole
@@ -74,11 +74,7 @@ def chosen_runs(args: Namespace) -> list[RunReader]:
     able = [
         run
         for run in named or store.runs()
-        if run.is_run
-        and run.env != ROAD
-        and (named or run.env in envs)
-        and not {"buffer", "policies"} & set(run.left_out)
-        and moments(run, 1)
+        if (named or run.env in envs) and "buffer" not in run.left_out and moments(run, 1)
     ]
     if lacking := [run.run_id for run in named if run not in able]:
         raise UserError(

@@ -82,7 +82,6 @@ class RunProfiles(NamedTuple):
 def panels(runs: Sequence[RunReader], presets: Sequence[str]) -> list[RunProfiles]:
     """The longest run of each environment, learner and preset, if it weighed, in that order."""
     suited = [run for run in runs if run.preset in presets and run.env != ROAD]
-    suited = [run for run in suited if run.learner in LEARNERS]
     suited.sort(key=lambda run: (not changed(run), run.status.env_step, run.created))
 
     def place(run: RunReader) -> tuple[object, ...]:

@@ -237,12 +237,10 @@ def in_sentences(found: Sequence[Row]) -> list[str]:
             for row in found
             if (row["condition"], row["learner"], row["quantity"]) == wanted
         ]
-        if values:
-            held = sum(map(holds, values))
-            sentences.append(
-                f"TOM's weights {what} in {held} of {len(values)} recordings "
-                f"({', '.join(f'{value:.3g}' for value in values)})."
-            )
+        sentences.append(
+            f"TOM's weights {what} in {sum(map(holds, values))} of {len(values)} recordings "
+            f"({', '.join(f'{value:.3g}' for value in values)})."
+        )
     return sentences
 
 

@@ -282,7 +282,7 @@ def in_sentences(outcomes: Sequence[Row], sweep: Sequence[Row]) -> list[str]:
     simpler = [
         name
         for name in (*SIMPLER, "pmac, expert last")
-        if (of := _named(outcomes, name)) and _median(of, "sac_success") >= TOM_SUCCESS_MIN
+        if _median(_named(outcomes, name), "sac_success") >= TOM_SUCCESS_MIN
     ]
     if simpler:
         sentences.append(
