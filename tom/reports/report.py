@@ -136,7 +136,7 @@ def origin_of_runs(runs: Sequence[RunReader]) -> dict[str, str]:
         "hours of training": f"{sum(map(run_hours, runs)):.1f}",
         "commits of the runs": ", ".join(commits),
         "torch of the runs": ", ".join(torches),
-        "seeds": seeds([run.seed for run in runs]),
+        "seeds": in_short([run.seed for run in runs]),
     }
 
 
@@ -149,7 +149,7 @@ def run_hours(run: RunReader) -> float:
     return float(seconds.max(initial=0.0)) / 3600
 
 
-def seeds(numbers: Sequence[int]) -> str:
+def in_short(numbers: Sequence[int]) -> str:
     """Seeds as text with ranges: `0-3, 7`."""
     ranges = []
     for _, group in groupby(enumerate(sorted(set(numbers))), lambda pair: pair[1] - pair[0]):

@@ -34,7 +34,7 @@ from tom.record.store import Store
 from tom.record.task_record import description, save_scene
 from tom.record.thin import write_columns
 from tom.record.versions import made_by
-from tom.reports.report import seeds, write_csv
+from tom.reports.report import in_short, write_csv
 
 WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
 SAME = 1e-6
@@ -111,7 +111,7 @@ def notices(report: Mapping[str, Any]) -> list[str]:
             noticed.setdefault((result["learner"], message), []).append(result["seed"])
     of_card = [str(notice["text"]) for notice in report.get("card", {}).get("notices", ())]
     return of_card + [
-        f"{LEARNERS[name].label if name in LEARNERS else name}, seed {seeds(of)}: {message}"
+        f"{LEARNERS[name].label if name in LEARNERS else name}, seed {in_short(of)}: {message}"
         for (name, message), of in noticed.items()
     ]
 

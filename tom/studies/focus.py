@@ -29,7 +29,7 @@ from tom.policy.collect import footprint
 from tom.policy.stored import NAME, read_policy
 from tom.record import RunReader
 from tom.reports.figures import learner_colour, strips
-from tom.reports.report import seeds as in_short
+from tom.reports.report import in_short
 from tom.rng import Streams
 from tom.studies.frozen import LABELS, MENDED, PRINTED
 from tom.studies.moments import sign_test

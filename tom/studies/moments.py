@@ -22,8 +22,7 @@ from tom.errors import UserError, check_known, reason
 from tom.exams import informative
 from tom.readable import whole
 from tom.record import RunReader, Store
-from tom.reports.report import WORDS
-from tom.reports.report import seeds as in_short
+from tom.reports.report import WORDS, in_short
 from tom.studies.frozen import ERROR, NEWEST, UNIFORM, WAYS, cases, examine, moments
 from tom.studies.study import (
     Findings,

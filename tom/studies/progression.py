@@ -28,7 +28,7 @@ from tom.errors import check_known
 from tom.policy.stored import NAME, UniformPolicy, read_policy
 from tom.record import RunReader
 from tom.reports.figures import Panel, profile_figure
-from tom.reports.report import seeds as in_short
+from tom.reports.report import in_short
 from tom.reports.weighing_files import profile_rows, profiles, write_weights
 from tom.studies.study import (
     Findings,

@@ -24,7 +24,7 @@ from tom.config import RoadConfig
 from tom.events import Collected, Evaluation, Event, Metrics, Weights
 from tom.learners import follows_value
 from tom.reports.figures import NEUTRAL, learner_colour, new_figure
-from tom.reports.report import seeds as in_short
+from tom.reports.report import in_short
 from tom.road import task
 from tom.road.measure import returns
 from tom.studies.study import (
@@ -66,7 +66,7 @@ EXPERT_ERROR_MAX, ROAD_ERROR_MAX = 0.35, 0.6
 TOM_RETURN_MIN, TOM_SUCCESS_MIN, SEEDS_THAT_DRIVE = 0.8, 0.9, 0.75
 MLE_RETURN_MAX, MLE_SUCCESS_MAX = 0.25, 0.2
 SWAPPED_RATIO_MAX, MEAN_ZERO_RETURN_MIN = 3.0, -30.0
-LEARNERS = {"mle": ("mle", "MLE"), "pmac, expert last": ("pmac", "PMAC"), "tom": ("tom", "TOM")}
+DRAWN = {"mle": ("mle", "MLE"), "pmac, expert last": ("pmac", "PMAC"), "tom": ("tom", "TOM")}
 """learner and label of the cases that are drawn"""
 COLUMNS = {
     "road_ratio": "weights/road_ratio",
@@ -112,7 +112,7 @@ def find(args: Namespace) -> Findings:
     stories, sweep = results[: len(main)], [story.outcome for story in results[len(main) :]]
     outcomes = [story.outcome for story in stories]
     first = {story.outcome["name"]: story for story in reversed(stories)}
-    weighed = {label: first[name] for name, (_, label) in LEARNERS.items()}
+    weighed = {label: first[name] for name, (_, label) in DRAWN.items()}
     return Findings(
         sentences=in_sentences(outcomes, sweep),
         files={
@@ -312,7 +312,7 @@ def _returns(stories: Sequence[CaseResult]) -> Iterator[Row]:
 def return_figure(stories: Sequence[CaseResult]) -> Figure:
     """Return against steps of policy optimisation in the model."""
     drawn = {}
-    for name, (learner, label) in LEARNERS.items():
+    for name, (learner, label) in DRAWN.items():
         curves = np.array([s.returns for s in stories if s.outcome["name"] == name])  # (S, T, 2)
         drawn[f"{label} (n = {len(curves)})"] = learner, curves[0, :, 0], curves[:, :, 1]
     figure = _curves(drawn, "steps of policy optimisation in the model", "return in the real task")

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from tom.learners.terms import DIVERGENCES
 from tom.reports.figures import NEUTRAL, learner_colour, new_figure
-from tom.reports.report import seeds as in_short
+from tom.reports.report import in_short
 from tom.studies.mdp import FlowName, solve
 from tom.studies.study import Findings, Row, add_jobs, check, compute
 from tom.studies.tabular_estimates import (
