@@ -62,6 +62,13 @@ def cell(value: object) -> str:
     return short(value, 4) if isinstance(value, float) else str(value)
 
 
+def task_title(env: str) -> str:
+    """A task's name for a heading: `inverted-pendulum` becomes Inverted pendulum."""
+    if ":" in env:
+        return env
+    return "HalfCheetah" if env == "halfcheetah" else env.replace("-", " ").capitalize()
+
+
 def flat(nested: Mapping[str, Any], above: str = "") -> dict[str, Any]:
     """Every value by its dotted path, in order; an empty group has none."""
     values: dict[str, Any] = {}

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from app.theme import learner_label
 from tom.analysis.settings import distinguishing_presets, variants
+from tom.readable import task_title
 from tom.record.reader import RunReader
 
 
@@ -27,13 +28,6 @@ def full_names(runs: Sequence[RunReader]) -> dict[str, str]:
     Runs of the same name are distinguished as in `distinct_names`.
     """
     return _distinct(runs, "{env} · {learner} · seed {seed}", by_user=True)
-
-
-def task_title(env: str) -> str:
-    """A task's name for a heading: `inverted-pendulum` becomes Inverted pendulum."""
-    if ":" in env:
-        return env
-    return "HalfCheetah" if env == "halfcheetah" else env.replace("-", " ").capitalize()
 
 
 def _distinct(runs: Sequence[RunReader], form: str, by_user: bool) -> dict[str, str]:

@@ -6,35 +6,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-from PIL import Image
-
 from tom.errors import UserError
 from tom.record.files import read_json
 from tom.record.store import Store
 from tom.reports.report import WORDS
+from tom.studies import STUDIES, load
 
 FOLDER = Path("reports")
 """the folder of results of `tom reproduce` if it is started in the studio's folder"""
 REPORT = "report.html"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-QUESTIONS = {
-    "road": "Does TOM drive where offline MBPO does not, because the road counts more?",
-    "progression": "Do the weights follow the policy along an ordered buffer?",
-    "focus": "Is the model better where the policy goes, and at what price elsewhere?",
-    "footprint": "Do TOM's weights bring a buffer nearer to what its policy does?",
-    "capacity": "Do TOM's weights make a model better where the policy goes, whatever its size?",
-    "improvement": "Does the policy return more with weights in the model or in the starts?",
-    "online": "Does TOM look beyond the newest data while a training goes on?",
-    "returns": "Do trainings with TOM's weights return more than MLE's?",
-    "tabular": "Are the estimated weights exact on small MDPs?",
-}
-"""the question of every study of `tom reproduce`, in the order of listing"""
-FACTORS = "factors"
-"""the table of returns with weights in the model, in the starts, in both or in none"""
-FACTORS_QUESTION = (
-    "Do whole trainings return more with TOM's weights in the model, or in the starts?"
-)
 
 
 @dataclass(frozen=True)
@@ -48,7 +29,7 @@ class Study:
     claim: str = ""
     """what the paper says"""
     findings: tuple[str, ...] = ()
-    """the verdict, in sentences"""
+    """what was found, in sentences"""
     origin: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -56,23 +37,23 @@ class Study:
         """The folder's name, else that of the command, which may have written elsewhere."""
         words = self.origin.get("command", "").split()
         verb = words[2] if words[:2] == ["tom", "reproduce"] and len(words) > 2 else ""
-        return self.name if self.name in QUESTIONS else verb
+        return self.name if self.name in STUDIES else verb
 
     @property
     def has_factors(self) -> bool:
         """Whether it tells weights in the model from weights in the starts."""
-        return any(table.stem == FACTORS for table in self.tables)
+        return any(table.stem == "factors" for table in self.tables)
 
     @property
     def question(self) -> str:
-        return FACTORS_QUESTION if self.has_factors else QUESTIONS.get(self.verb, "")
+        return load(self.verb).QUESTION if self.verb in STUDIES else ""
 
     @property
     def question_key(self) -> str:
         """What studies of one question have in common; other studies stand alone."""
         if self.has_factors:
             return f"{self.verb}-apart"
-        return self.verb if self.question else self.name
+        return self.verb if self.verb in STUDIES else self.name
 
     @property
     def distinction(self) -> str:
@@ -92,14 +73,14 @@ def folders(store: Path | str) -> tuple[Path, ...]:
 
 
 def listing(*places: Path) -> list[Study]:
-    """The studies with a figure, a table or a report, in the order of `QUESTIONS`.
+    """The studies with a figure, a table or a report, in the order of `STUDIES`.
 
     A study in several places is taken from the first.
     """
     first: dict[str, Path] = {}
     for folder in (folder for place in places for folder in _files(place, Path.is_dir)):
         first.setdefault(folder.name, folder)
-    order = {name: i for i, name in enumerate(QUESTIONS)}
+    order = {name: i for i, name in enumerate(STUDIES)}
     names = sorted(first, reverse=True)  # of later steps first
     names.sort(key=lambda name: order.get(name, len(order)))
     studies = [_read(first[name]) for name in names if NAME.fullmatch(name)]
@@ -109,24 +90,6 @@ def listing(*places: Path) -> list[Study]:
 def report(name: str, *places: Path) -> Path | None:
     """The report of the study `name`; None if there is no such study."""
     return next((study.report for study in listing(*places) if study.name == name), None)
-
-
-def table(path: Path) -> pd.DataFrame | None:
-    """The rows of a table; None if it cannot be read."""
-    try:
-        return pd.read_csv(path)
-    except (OSError, ValueError):  # pandas raises ValueError for a damaged file
-        return None
-
-
-def is_picture(path: Path) -> bool:
-    """Whether a figure can be shown."""
-    try:
-        with Image.open(path) as image:
-            image.load()
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-        return False
-    return True
 
 
 def _files(folder: Path, kind: Callable[[Path], bool]) -> list[Path]:

@@ -11,14 +11,14 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.data import run_names
-from app.data.verdicts import LABELS, Panel, Point, symbol
 from app.figures import base
 from app.figures.base import band, line, styled, vertical_line
 from app.figures.curves import HOLLOW, Style, core_line
 from app.theme import NEUTRAL, learner_colour, with_alpha
 from tom.analysis.statistics import Interval
-from tom.studies.frozen import WAYS
+from tom.readable import task_title
+from tom.studies.frozen import LABELS, PRINTED, WAYS
+from tom.studies.verdicts import Panel, Point
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,7 @@ def profiles(
 
 def intervals(
     points: Sequence[Point],
+    colours: Sequence[str],
     axis: str,
     level: float,
     height: int,
@@ -72,20 +73,21 @@ def intervals(
     x_axis: Mapping[str, Any] = MappingProxyType({}),
 ) -> go.Figure:
     """Results with their intervals, one below the other; `level` is that of no difference."""
+    coloured = list(zip(points, colours, strict=True))
     lines = list(dict.fromkeys(point.line for point in points))[::-1]
     series = list(dict.fromkeys(point.series for point in points))
     figure = go.Figure()
     for i, name in enumerate(series):
         of_series = [point for point in points if point.series == name]
+        colours = [colour for point, colour in coloured if point.series == name]
         value, low, high = np.array([(one.value, one.low, one.high) for one in of_series]).T
         below = ((len(series) - 1) / 2 - i) / (len(series) + 1)
-        colours = [one.colour for one in of_series]
         figure.add_scatter(
             x=value,
             y=[lines.index(one.line) + below for one in of_series],
             mode="markers",
             name=text.plotly(name),
-            marker={"size": 9, "color": colours, "symbol": [one.symbol for one in of_series],
+            marker={"size": 9, "color": colours, "symbol": [symbol(one.way) for one in of_series],
                     "line": {"color": colours, "width": 2}},
             error_x=_error_bars(value, low, high),
             text=[
@@ -103,6 +105,15 @@ def intervals(
     return styled(figure, axis, height, keep=keep, marks=marks, **more)
 
 
+def symbol(way: str) -> str:
+    """The marker of a way: half uniform weights and TOM as printed have their own."""
+    if way not in WAYS:
+        return "circle"
+    if WAYS[way].half:
+        return "diamond-wide"
+    return "circle-open" if way == PRINTED else "circle" if WAYS[way].label else "x"
+
+
 FEW, MORE = (0.03, 0.1, 0.3, 1, 3), (0.5, 0.7, 0.8, 0.9, 1, 1.2, 1.5, 2, 3)
 """ticks of a logarithmic axis: of a short one and of a long one"""
 
@@ -112,7 +123,7 @@ def two_axes(panels: Sequence[Panel], height: int, keep: str) -> go.Figure:
     figure = base.panels(1, len(panels), height, keep, shared_yaxes=True, horizontal_spacing=0.03)
     shown: set[str] = set()
     for column, panel in enumerate(panels, 1):
-        name = run_names.task_title(panel.env)
+        name = task_title(panel.env)
         for way, distance, error in panel.ways:
             colour = learner_colour(WAYS[way].learner or "")
             label = text.plotly(LABELS.get(way, way))
@@ -149,15 +160,14 @@ def improvement(pairs: pd.DataFrame, colours: Sequence[str], height: int, keep: 
     their number. A zoom lasts while `keep`, which names the runs, is the same.
     """
     points = []
-    for pair, colour in zip(pairs.to_dict("records"), colours, strict=True):
+    for pair in pairs.to_dict("records"):
         p = f"p {pair['p']:.2g}" + f", corrected {pair['p corrected']:.2g}" * (len(pairs) > 1)
         ends = pair["probability"], pair["low"], pair["high"]
         line = f"{pair['first']} > {pair['second']}\n{p}"
-        points.append(Point(line, "", colour, "circle", *ends))
+        points.append(Point(line, "", *ends))
     shares = {"range": [-0.03, 1.03], "tickvals": [0, 0.2, 0.4, 0.6, 0.8, 1], "showgrid": True}
-    return intervals(
-        points, "probability of improvement", 0.5, height, f"improvement {keep}", shares
-    )
+    axis, kept = "probability of improvement", f"improvement {keep}"
+    return intervals(points, colours, axis, 0.5, height, kept, shares)
 
 
 def _error_bars(value: NDArray, low: NDArray, high: NDArray) -> dict[str, Any]:

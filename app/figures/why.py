@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 
 from app import text
 from app.data.buffer import Floats
-from app.data.verdicts import Point
 from app.data.weighings import Brushed
 from app.figures.base import line, note, styled
 from app.figures.statistics import intervals
@@ -14,6 +13,7 @@ from app.theme import NEUTRAL, Mode, learner_colour, ramp
 from tom import readable
 from tom.analysis.brush import POLICY, REGION, REST
 from tom.analysis.why import Sum
+from tom.studies.verdicts import Point
 
 NAMES = {
     REGION: "held-out, in the region",
@@ -34,17 +34,16 @@ def brushed_errors(brushed: Brushed, height: int, mode: Mode) -> go.Figure:
     Where no error could be measured there is no point.
     """
     regions = [name for name in NAMES if name in brushed.errors]
-    points = []
+    points, colours = [], []
     for factor, colour in zip(brushed.factors, ramp(len(brushed.factors), mode), strict=True):
         for name in regions:
             ratio = brushed.change(name, factor)
             if len(ratio := ratio[np.isfinite(ratio)]):
                 ends = float(ratio.mean()), float(ratio.min()), float(ratio.max())
-                points.append(
-                    Point(NAMES[name], f"weight {factor_text(factor)}", colour, "circle", *ends)
-                )
+                points.append(Point(NAMES[name], f"weight {factor_text(factor)}", *ends))
+                colours.append(colour)
     axis = "one-step error over that with unchanged weights"
-    figure = intervals(points, axis, 1, height, f"brush {brushed.name}")
+    figure = intervals(points, colours, axis, 1, height, f"brush {brushed.name}")
     seeds = len(next(iter(brushed.errors[regions[0]].values())))
     return note(figure, [f"mean and range of {seeds} seeds"])
 

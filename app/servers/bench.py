@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from PIL import Image
 
-from app.data.studies import FOLDER, QUESTIONS, REPORT
+from app.data.studies import FOLDER, REPORT
 from app.servers import browser_bench
 from app.servers.browser_bench import Measured
 from tom.cli import Parser
@@ -26,6 +26,7 @@ from tom.record.reader import RunReader
 from tom.record.status import Status
 from tom.record.store import Store
 from tom.record.writer import SEGMENT_ROWS, RunWriter
+from tom.studies import STUDIES
 from tom.training.presets import resolve
 from tom.training.run import train
 
@@ -38,8 +39,8 @@ KINDS = (
     ),
 )
 """the trained runs, in turn: task, learner, settings"""
-STUDIES, FIGURES, LINES = 3, 2, 300
-"""for the page of studies: number of figures and table lines of each"""
+SHOWN, FIGURES, LINES = STUDIES[:3], 2, 300
+"""the studies of their page, and the number of figures and table lines of each"""
 MAP_ENV, MAP_FITS = "hopper", 3
 EPISODE = 500
 """steps of an episode of the map's runs"""
@@ -66,7 +67,7 @@ def make_store(folder: Path, runs: int) -> None:
 def make_studies(folder: Path) -> None:
     """Make studies like those of `tom reproduce`: figures of noise, a table, a report."""
     noise = np.random.default_rng(0)
-    for name in list(QUESTIONS)[:STUDIES]:
+    for name in SHOWN:
         study = folder / name
         study.mkdir(parents=True)
         for i in range(FIGURES):

@@ -1,6 +1,7 @@
 """Findings: a card for each question, from the results of `tom reproduce`, and each whole."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
@@ -10,15 +11,17 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import session, text
 from app.data import studies
-from app.data.studies import QUESTIONS, Study
-from app.data.two_axes import QUESTION, verdicts
-from app.data.verdicts import Verdict, verdict
+from app.data.studies import Study
+from app.data.verdicts import on_two_axes, verdict
 from app.figures.statistics import intervals, two_axes
 from app.parts import address, form, jobs
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from app.theme import learner_colour
-from tom.learners import SUBJECT
+from tom.reports.report import read_csv
+from tom.studies import STUDIES, load
+from tom.studies.two_axes import QUESTION
+from tom.studies.verdicts import Verdict
 
 EVERY = "Every question"
 SIGNS = {"Yes": ":material/check_circle:", "No": ":material/cancel:",
@@ -44,7 +47,7 @@ def page(scope: Scope) -> None:
             _cards(listed)
     else:
         st.info(f"No study has been computed yet: there is none in `{studies.FOLDER.absolute()}`.")
-    others = [name for name in QUESTIONS if name not in by_name]
+    others = [name for name in STUDIES if name not in by_name]
     if others:
         with st.expander("Studies not computed here", expanded=not listed):
             _offer_studies(others)
@@ -52,7 +55,7 @@ def page(scope: Scope) -> None:
 
 def _cards(listed: Sequence[Study]) -> None:
     """All ways of weighing on two axes, where both studies are known; then each question."""
-    both = verdicts(listed)
+    both = on_two_axes(listed)
     if both:
         with st.container(border=True):
             st.header(QUESTION, anchor=False)
@@ -104,8 +107,8 @@ def _card(study: Study, head: DeltaGenerator) -> None:
     the verdict, its own picture.
     """
     found = verdict(study)
-    asked = question(study, found)
-    head.header(text.markdown(asked or study.name), anchor=False)
+    asked = _question(study, found)
+    head.header(text.markdown(asked), anchor=False)
     if found is not None:
         place = _draw_verdict(found)
     else:
@@ -114,13 +117,15 @@ def _card(study: Study, head: DeltaGenerator) -> None:
         place = st.container()
     if found is not None and found.points:
         height = 110 + 22 * len(found.points)
-        figure = intervals(found.points, found.axis, found.level, height, study.name)
+        colours = [learner_colour(point.learner) for point in found.points]
+        figure = intervals(found.points, colours, found.axis, found.level, height, study.name)
         bars = " Bars: 95 % intervals." if np.isfinite([p.low for p in found.points]).any() else ""
         caption = f"{asked} {found.sentence}{bars}"
         with place:
             chart(figure, f"verdict {study.name}", f"{asked}: {found.axis}", caption=caption)
-    elif study.figures and studies.is_picture(study.figures[0]):
-        place.image(str(study.figures[0]), alt=f"{study.figures[0].stem}: {asked or study.name}")
+    elif study.figures:
+        with place:
+            _draw_picture(study.figures[0], asked)
     _command(study, "The command")
     st.button(
         "The whole study", key=f"open {study.name}",
@@ -128,20 +133,23 @@ def _card(study: Study, head: DeltaGenerator) -> None:
     )  # fmt: skip
 
 
-def question(study: Study, found: Verdict | None) -> str:
-    """The study's question, asked about the ways that it has where TOM's are not among them."""
-    points = found.points if found else ()
-    if not points or any(point.colour == learner_colour(SUBJECT) for point in points):
-        return study.question
-    ways = " and ".join(dict.fromkeys(point.series or point.line for point in points))
-    return study.question.replace("TOM's weights", f"the weights of {ways}")
+def _question(study: Study, found: Verdict | None) -> str:
+    """What a study asks; its name if nobody knows."""
+    return (found and found.question) or study.question or study.name
+
+
+def _draw_picture(figure: Path, asked: str) -> None:
+    try:
+        st.image(str(figure), alt=f"{figure.stem}: {asked}")
+    except (OSError, ValueError, SyntaxError):  # of Pillow
+        st.warning(f"{text.markdown(figure.name)} cannot be read.")
 
 
 def _whole(study: Study) -> None:
     """The paper's claim, the result, the command, and all figures and tables."""
     head = st.columns([5, 1], vertical_alignment="center")
-    asked = question(study, verdict(study))
-    head[0].header(text.markdown(asked or study.name), anchor=False)
+    asked = _question(study, verdict(study))
+    head[0].header(text.markdown(asked), anchor=False)
     if study.report is not None:
         where = f"reports/{quote(study.name)}"
         head[1].link_button("Whole report", where, icon=":material/open_in_new:", width="stretch")
@@ -156,12 +164,9 @@ def _whole(study: Study) -> None:
         st.caption(text.markdown(" · ".join(made)))
     for figure in study.figures:
         with st.container(border=True):
-            if studies.is_picture(figure):
-                st.image(str(figure), alt=f"{figure.stem}: {asked or study.name}")
-            else:
-                st.warning(f"{text.markdown(figure.name)} cannot be read.")
+            _draw_picture(figure, asked)
     for path in study.tables:
-        table = studies.table(path)
+        table = read_csv(path)
         if table is None:
             st.warning(f"{text.markdown(path.name)} cannot be read.")
             continue
@@ -193,7 +198,7 @@ def _offer_studies(names: Sequence[str]) -> None:
     if why := session.read_only_reason():
         st.caption(why)
     for name in names:
-        st.markdown(QUESTIONS[name])
+        st.markdown(load(name).QUESTION)
         about = () if name in ("road", "tabular") else ("--store", session.links().store)
         words = ["reproduce", name, *about]
         left, right = st.columns([5, 1], vertical_alignment="center")

@@ -7,12 +7,10 @@ what is printed, and the exit code.
 import signal
 import time
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from matplotlib import rc_context
 
@@ -22,22 +20,11 @@ from tom.errors import DivergedError
 from tom.machine.processes import on_stopping
 from tom.readable import whole
 from tom.reports.figures import STYLE, save
-from tom.reports.report import origin, write_csv, write_report
-from tom.studies import (
-    capacity,
-    focus,
-    footprint,
-    improvement,
-    online,
-    progression,
-    returns,
-    road,
-    tabular,
-)
+from tom.reports.report import origin, read_tables, write_csv, write_report
+from tom.studies import STUDIES, load
 from tom.studies.study import Findings, make_folder, say
+from tom.studies.verdicts import verdict_of
 
-_BEGUN = time.monotonic()  # a study is a separate process
-STUDIES = (road, progression, focus, footprint, capacity, improvement, online, returns, tabular)
 LONG = 60
 """maximum lines of a table that is printed"""
 
@@ -49,8 +36,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "write its figure and table. Exit code 0 if all figures are met, else 1.",
     )
     studies = parser.add_subparsers(title="studies", metavar="STUDY", required=True)
-    for study in STUDIES:
-        name, doc = study.__name__.rpartition(".")[2], study.__doc__ or ""
+    for name in STUDIES:
+        study = load(name)
+        doc = study.__doc__ or ""
         own = studies.add_parser(name, help=doc.partition("\n")[0], description=doc)
         own.register("type", "folder", folder)
         own.register("type", "seed", whole(0))
@@ -85,37 +73,30 @@ def run(study: ModuleType, args: Namespace) -> int:
 
 
 def _run(study: ModuleType, args: Namespace) -> int:
+    begun = time.monotonic()
     with rc_context(STYLE):
         found: Findings = study.find(args)
     make_folder(args.out)
-    judged = [row for row in found.checks if row["met"] is not None]
-    failed = [str(row["name"]) for row in judged if not row["met"]]
-    verdict = list(found.sentences)
-    if judged:
-        met = len(judged) - len(failed)
-        verdict.append(f"{met} of {len(judged)} figures of our acceptance are met.")
-    if failed:
-        verdict.append(f"Not met: {'; '.join(failed)}.")
     files = {name: list(rows) for name, rows in found.files.items()}
-    tables: list[tuple[str, Sequence[Mapping[str, Any]]]]
-    tables = [(title, files[name]) for name, title in found.titles.items()]
-    content = {name: files[name] for name in found.titles}
+    titles = dict(found.titles)
     if found.checks:
-        files["checks"] = content["checks"] = list(found.checks)
-        answers = {True: "yes", False: "NO", None: ""}
-        rows = [{**row, "met": answers[row["met"]]} for row in found.checks]
-        tables.insert(0, ("Acceptance", rows))
+        files["checks"], titles = list(found.checks), {"checks": "Acceptance", **titles}
     for name, rows in files.items():
         write_csv(args.out / f"{name}.csv", rows)
+    sentences = list(found.sentences)
+    if verdict := verdict_of(study, read_tables(args.out / f"{name}.csv" for name in files)):
+        question = verdict.question or study.QUESTION
+        sentences.append(f"{question} {verdict.word}. {verdict.sentence}")
+        if verdict.against:
+            sentences.append(f"Against it: {verdict.against}")
     pictures = [
         (caption, save(figure, args.out, name)[0])
         for name, (caption, figure) in found.figures.items()
     ]
-    hours = (
-        f"{(time.monotonic() - _BEGUN) / 3600:.2f} (cases kept from an earlier call not counted)"
-    )
+    hours = f"{(time.monotonic() - begun) / 3600:.2f} (cases kept from an earlier call not counted)"
     made = origin() | {"hours": hours} | dict(found.origin)
-    write_report(args.out, study.TITLE, study.CLAIM, verdict, pictures, tables, made)
+    tables = [(title, files[name]) for name, title in titles.items()]
+    write_report(args.out, study.TITLE, study.CLAIM, sentences, pictures, tables, made)
 
     def shown() -> None:
         for title, rows in tables:
@@ -123,7 +104,8 @@ def _run(study: ModuleType, args: Namespace) -> int:
                 show_rows(title, rows)
             elif rows:
                 print(f"{title}: in the report")
-        print("\n".join([*verdict, str(args.out)]))
+        print("\n".join([*sentences, str(args.out)]))
 
-    print_result(args, content | {"verdict": verdict, "out": str(args.out)}, shown)
-    return 1 if failed else 0
+    content = {name: files[name] for name in titles}
+    print_result(args, content | {"verdict": sentences, "out": str(args.out)}, shown)
+    return int(any(row["met"] is False for row in found.checks))

@@ -15,7 +15,7 @@ from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader, Store
 from tom.record.files import read_json, replace
 from tom.record.thin import without_options
-from tom.reports.report import run_hours, seeds
+from tom.reports.report import in_short, run_hours
 from tom.reports.weighing_files import REPORT, of_run
 
 NAME = "README.md"
@@ -104,7 +104,7 @@ def _weighing(path: Path, report: Mapping[str, Any]) -> dict[str, str]:
         "buffer of": code(report["data"]),
         "by the policy of": code(report["policy"]),
         "learners": ", ".join(dict.fromkeys(_label(row["learner"]) for row in results)),
-        "seeds": seeds([row["seed"] for row in results]),
+        "seeds": in_short([row["seed"] for row in results]),
         "rows": f"{report['rows']:,}",
         "hours": f"{made['hours']:.2f}" if "hours" in made else "-",
         "commit": _commit(made.get("git_commit")),
@@ -130,10 +130,7 @@ def _section(
 
 def short_command(command: str) -> str:
     """A command with its seed as N and without the options for the result's place."""
-    try:
-        words = without_options(command, WHERE, FLAGS)
-    except ValueError:  # an unclosed quote: not a shell command
-        return command
+    words = without_options(command, WHERE, FLAGS)
     words = [re.sub(r"^--seed=\d+$", "--seed=N", word) for word in words]
     return re.sub(r"(?<= --seed )\d+\b", "N", shlex.join(words))
 

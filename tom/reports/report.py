@@ -9,6 +9,9 @@ from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
+
+import pandas as pd
 
 from tom import readable
 from tom.harmless import cell
@@ -91,6 +94,27 @@ def write_csv(path: Path, rows: Iterable[Mapping[str, object]]) -> None:
             writer.writerows({name: cell(value) for name, value in row.items()} for row in listed)
 
 
+def read_csv(path: Path) -> pd.DataFrame | None:
+    """The rows of a table; None if there are none, or it cannot be read."""
+    try:
+        return pd.read_csv(path)
+    except (OSError, ValueError):  # pandas raises ValueError for a damaged file
+        return None
+
+
+def read_tables(paths: Iterable[Path]) -> dict[str, list[dict[str, Any]]]:
+    """The rows of the tables that can be read, by the files' names."""
+    read = ((path.stem, read_csv(path)) for path in paths)
+    return {
+        name: [
+            {str(column): value for column, value in row.items()}
+            for row in table.to_dict("records")
+        ]
+        for name, table in read
+        if table is not None
+    }
+
+
 def origin() -> dict[str, str]:
     """Command, time, commit, versions and machine of this process."""
     kind = machine()
@@ -112,7 +136,7 @@ def origin_of_runs(runs: Sequence[RunReader]) -> dict[str, str]:
         "hours of training": f"{sum(map(run_hours, runs)):.1f}",
         "commits of the runs": ", ".join(commits),
         "torch of the runs": ", ".join(torches),
-        "seeds": seeds([run.seed for run in runs]),
+        "seeds": in_short([run.seed for run in runs]),
     }
 
 
@@ -125,7 +149,7 @@ def run_hours(run: RunReader) -> float:
     return float(seconds.max(initial=0.0)) / 3600
 
 
-def seeds(numbers: Sequence[int]) -> str:
+def in_short(numbers: Sequence[int]) -> str:
     """Seeds as text with ranges: `0-3, 7`."""
     ranges = []
     for _, group in groupby(enumerate(sorted(set(numbers))), lambda pair: pair[1] - pair[0]):

@@ -34,7 +34,7 @@ from tom.record.store import Store
 from tom.record.task_record import description, save_scene
 from tom.record.thin import write_columns
 from tom.record.versions import made_by
-from tom.reports.report import seeds, write_csv
+from tom.reports.report import in_short, write_csv
 
 WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
 SAME = 1e-6
@@ -52,8 +52,6 @@ BRUSH = "brush"
 """entry of the report of `tom brush`"""
 ROWS = "rows_digest"
 """entry of a report whose weighing holds its rows: their digest"""
-SEGMENT_BYTES = 64 * 2**20
-"""bytes of rows per file"""
 
 
 # Read.
@@ -113,7 +111,7 @@ def notices(report: Mapping[str, Any]) -> list[str]:
             noticed.setdefault((result["learner"], message), []).append(result["seed"])
     of_card = [str(notice["text"]) for notice in report.get("card", {}).get("notices", ())]
     return of_card + [
-        f"{LEARNERS[name].label if name in LEARNERS else name}, seed {seeds(of)}: {message}"
+        f"{LEARNERS[name].label if name in LEARNERS else name}, seed {in_short(of)}: {message}"
         for (name, message), of in noticed.items()
     ]
 
@@ -263,14 +261,10 @@ def write(
         if data.run is None:
             rows, version = data.transitions.numpy(), data.policy_version.numpy()
             behaviour = None if data.behaviour is None else data.behaviour.numpy()
-            width = 4 * (2 * np.shape(rows.obs)[1] + np.shape(rows.action)[1] + 5)
-            (folder / layout.segment(0)).parent.mkdir()
-            for first in range(0, len(rows), at_once := max(SEGMENT_BYTES // width, 1)):
-                part = slice(first, first + at_once)
-                known = None if behaviour is None else behaviour[part]
-                collected = Collected(0, rows[part], version[part], behaviour=known)
-                arrays = decode.transition_arrays(collected)
-                np.savez(folder / layout.segment(first), allow_pickle=False, **arrays)
+            collected = Collected(0, rows, version, behaviour=behaviour)
+            segment = folder / layout.segment(0)
+            segment.parent.mkdir()
+            np.savez(segment, allow_pickle=False, **decode.transition_arrays(collected))
             # Readers of runs find the task there.
             said = {"schema": layout.SCHEMA, "env": data.env, "task": description(data.env)}
             # For those who weigh these rows from here.

@@ -15,21 +15,36 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tom.errors import UserError, check_known
+from tom.learners import SUBJECT
 from tom.reports.figures import learner_colour, strips
-from tom.studies.frozen import ERROR, MODELS, ROLLOUT_ERROR, UNIFORM, WAYS
+from tom.studies.frozen import (
+    ERROR,
+    LABELS,
+    MENDED,
+    MODELS,
+    PRINTED,
+    ROLLOUT_ERROR,
+    UNIFORM,
+    WAYS,
+)
 from tom.studies.moments import (
     QUESTIONS,
     add_measure_options,
     answer_sentences,
+    certainty,
     comparisons,
     findings,
     models_of,
     outcomes_of,
     ratios,
+    way_point,
+    word_of_rows,
 )
 from tom.studies.study import Findings, Row
+from tom.studies.verdicts import Tables, Verdict
 
 TITLE = "Where weighting pays"
+QUESTION = "Do TOM's weights make a model better where the policy goes, whatever its size?"
 CLAIM = (
     "A model fitted by TOM's weights is accurate where the policy goes (figure 1). The paper "
     "never varies the model's capacity; its linear model of road-and-rocks is the small end."
@@ -48,8 +63,8 @@ def find(args: Namespace) -> Findings:
     outcomes = outcomes_of(args, args.models)
     if args.table and not any(ratios(outcomes, ERROR)):
         raise UserError(
-            f"{args.table} has no moment with both uniform and other weights, "
-            "whose errors are compared: name the moments.csv of another report"
+            f"{args.table} has no moment with errors of models under both uniform and other "
+            "weights, which are compared: name the moments.csv of another report"
         )
     rows, pairs = summary(outcomes), head_to_head(outcomes)
     figures = {
@@ -61,7 +76,7 @@ def find(args: Namespace) -> Findings:
         for name, ahead in zip(("capacity", "capacity-rollouts"), AHEAD, strict=True)
     }
     tables = {"summary": rows, "head-to-head": pairs}
-    return findings(args, verdict(rows, pairs), tables, outcomes, figures)
+    return findings(args, in_sentences(rows, pairs), tables, outcomes, figures)
 
 
 def summary(outcomes: Sequence[Row]) -> list[Row]:
@@ -108,7 +123,7 @@ def head_to_head(outcomes: Sequence[Row]) -> list[Row]:
     return sorted(rows, key=lambda row: list(QUESTIONS).index((row["way"], row["against"])))
 
 
-def verdict(rows: Sequence[Row], pairs: Sequence[Row]) -> list[str]:
+def in_sentences(rows: Sequence[Row], pairs: Sequence[Row]) -> list[str]:
     """For each model the way with the lowest error, then the answers to questions of two ways."""
     sentences = []
     for model in dict.fromkeys(row["model"] for row in rows):
@@ -120,6 +135,36 @@ def verdict(rows: Sequence[Row], pairs: Sequence[Row]) -> list[str]:
             f"{best['n']} trials), {best['five steps']:.2f} five steps ahead."
         )
     return sentences + answer_sentences(pairs, "ratio", "less at")
+
+
+def verdict(tables: Tables) -> Verdict:
+    """By TOM's errors over those with uniform weights; without TOM, by every way's."""
+    pairs = [row for row in tables["head-to-head"] if row["against"] == UNIFORM]
+    table = [row for row in pairs if row["way"] in LABELS]
+    of_tom = [row for row in table if row["way"] in (PRINTED, MENDED)]
+    ours, whose = (of_tom, "TOM's") if of_tom else (table, "These")
+    models = list(dict.fromkeys(row["model"] for row in ours))
+    less = [m for m in models if all(row["high"] < 1 for row in ours if row["model"] == m)]
+    cost = [
+        f"{row['ratio']:.2f} ({certainty(row, '{:.2f}'.format)}) with {LABELS[row['way']]}"
+        for row in table
+        if row["model"] == models[-1] and not WAYS[row["way"]].half
+    ]
+    sentence = (
+        f"{whose} weights lower the model's error where the policy goes for "
+        f"{' and '.join(less) or 'no model'} (units x layers). The error of {models[-1]} over that "
+        f"with uniform weights is {' and '.join(cost)}."
+    )
+    least = min(1.0, min(row["p"] for row in table) * len(table))
+    against = f"Corrected for all {len(table)} tests of the table, the smallest p is {least:.2g}."
+    points = [way_point(row, "ratio", row["model"], LABELS[row["way"]]) for row in table]
+    axis = "model error (1: as with uniform weights)"
+    question = ""
+    if SUBJECT not in {point.learner for point in points}:
+        ways = " and ".join(dict.fromkeys(point.series for point in points))
+        question = QUESTION.replace("TOM's weights", f"the weights of {ways}")
+    word = word_of_rows(ours)
+    return Verdict(word, sentence, against, axis, 1, points, question=question)
 
 
 def capacity_figure(outcomes: Sequence[Row], ahead: str) -> Figure:

@@ -29,12 +29,16 @@ from tom.policy.collect import footprint
 from tom.policy.stored import NAME, read_policy
 from tom.record import RunReader
 from tom.reports.figures import learner_colour, strips
-from tom.reports.report import seeds as in_short
+from tom.reports.report import in_short
 from tom.rng import Streams
+from tom.studies.frozen import LABELS, MENDED, PRINTED
+from tom.studies.moments import sign_test
 from tom.studies.study import Findings, Row, add_recordings, compute, recordings
+from tom.studies.verdicts import Point, Tables, Verdict, side, word_of
 from tom.training.presets import PRESETS, resolve
 
 TITLE = "Model error"
+QUESTION = "Is the model better where the policy goes, and at what price elsewhere?"
 CLAIM = (
     "Fitting the model to what the current policy meets makes it accurate there, where policy "
     "learning needs it, rather than over all of the replay buffer (figure 1). The paper measures "
@@ -77,7 +81,7 @@ def find(args: Namespace) -> Findings:
         args, focus, cases, lambda one: f"{one['recording']}: {one['rival']} seed {one['seed']}"
     )
     return Findings(
-        sentences=verdict(results),
+        sentences=in_sentences(results),
         files={"errors": results, "summary": summary(results)},
         titles={"summary": "Medians over seeds"},
         figures={"errors": (CAPTION, error_figure(results))},
@@ -151,12 +155,11 @@ def _config(env: str, rival: str, preset: str) -> OnlineConfig:
 
 
 def shares(results: Sequence[Row]) -> list[Row]:
-    """The results with errors relative to MLE's on the same recording and seed; without MLE's."""
+    """The results with errors relative to MLE's on the same recording and seed."""
     mle = {(one["recording"], one["seed"]): one for one in results if one["rival"] == "mle"}
     return [
-        {**one, **{name: one[name] / base[name] for name in QUANTITIES}}
+        one | {name: one[name] / mle[one["recording"], one["seed"]][name] for name in QUANTITIES}
         for one in results
-        if (base := mle.get((one["recording"], one["seed"])))
     ]
 
 
@@ -171,13 +174,13 @@ def summary(results: Sequence[Row]) -> list[Row]:
         row: Row = {"recording": key[0], "rival": key[1], "ess": median(one["ess"] for one in own)}
         for name in QUANTITIES:
             row[name] = median(one[name] for one in own)
-            row[f"{name} / mle"] = median(one[name] for one in over) if over else nan
+            row[f"{name} / mle"] = median(one[name] for one in over)
         rows.append(row)
     return rows
 
 
-def verdict(results: Sequence[Row]) -> list[str]:
-    """For each learner except MLE: where its model is better than MLE's, and whether as claimed."""
+def in_sentences(results: Sequence[Row]) -> list[str]:
+    """For each learner except MLE: where its model is better than MLE's."""
     over, sentences = shares(results), []
     for rival in dict.fromkeys(one["rival"] for one in over if one["rival"] != "mle"):
         of = {name: [one[name] for one in over if one["rival"] == rival] for name in QUANTITIES}
@@ -185,13 +188,43 @@ def verdict(results: Sequence[Row]) -> list[str]:
             f"{QUANTITIES[name]} {median(own):.2f} (less in {sum(x < 1 for x in own)}/{len(own)})"
             for name, own in of.items()
         )
-        line = f"{RIVALS[rival]}: error over MLE's, median: {', '.join(ratios)}."
-        if rival.startswith("tom"):
-            less = sum(median(of[name]) < 1 for name in ("policy", "policy_rollout"))
-            says = ("not as claimed", "as claimed over one of the two lengths only", "as claimed")
-            line += f" Where the policy goes: {says[less]}."
-        sentences.append(line)
+        sentences.append(f"{RIVALS[rival]}: error over MLE's, median: {', '.join(ratios)}.")
     return sentences
+
+
+def verdict(tables: Tables) -> Verdict:
+    """By a sign test over recordings of each of TOM's presets, corrected for their number."""
+    names = {"pmac": "PMAC", "tom paper": LABELS[PRINTED], "tom mended": LABELS[MENDED],
+             "tom exact": "TOM exact"}  # fmt: skip
+    rows = [row for row in tables["summary"] if row["rival"] in names]
+    ours = [row for row in rows if row["rival"].startswith("tom")]
+    signs = {
+        names[name]: sign_test(
+            ("", row["recording"], 1 - row["policy / mle"]) for row in ours if row["rival"] == name
+        )
+        for name in dict.fromkeys(row["rival"] for row in ours)
+    }
+    sides = [side(one.p * len(signs), 2 * one.above > one.n) for one in signs.values()]
+    counts = [f"{name} on {one.above} of {one.n}" for name, one in signs.items()]
+    sentence = (
+        "On new steps of the policy, the model errs less than MLE's: "
+        f"{', '.join(counts)} recordings (smallest p {min(one.p for one in signs.values()):.2g})."
+    )
+    least = min(1.0, 2.0 ** (1 - max(one.n for one in signs.values())))
+    against = (
+        "On the buffer's random half, the error is "
+        f"{median(row['random / mle'] for row in ours):.2f} times MLE's (median). With so few "
+        f"recordings, p cannot be below {least:.2g}."
+    )
+    points = [
+        Point(
+            row["recording"], names[rival := row["rival"]], row["policy / mle"], nan, nan,
+            rival.partition(" ")[0], PRINTED if rival == "tom paper" else "",
+        )
+        for row in rows
+    ]  # fmt: skip
+    axis = "model error where the policy goes (1: as MLE's)"
+    return Verdict(word_of(sides), sentence, against, axis, 1, points)
 
 
 def error_figure(results: Sequence[Row]) -> Figure:

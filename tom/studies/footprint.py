@@ -7,27 +7,35 @@ policy. Runs must be whole, or small copies made with --keep buffer policies.
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
+from math import isfinite
 from operator import itemgetter
 from statistics import median
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from tom.readable import percent
 from tom.reports.figures import learner_colour, strips
-from tom.studies.frozen import UNIFORM, WAYS
+from tom.studies.frozen import LABELS, MENDED, PRINTED, UNIFORM, WAYS
 from tom.studies.moments import (
     add_measure_options,
     answer_sentences,
+    certainty,
     comparisons,
     findings,
     informative_outcomes,
     outcomes_of,
     over_recordings,
+    sign_test,
+    way_point,
     with_interval,
+    word_of_rows,
 )
 from tom.studies.study import Findings, Row
+from tom.studies.verdicts import SIGNIFICANT, Tables, Verdict
 
 TITLE = "Where the weights lie"
+QUESTION = "Do TOM's weights bring a buffer nearer to what its policy does?"
 CLAIM = (
     "TOM weighs the replay buffer so that its distribution of transitions matches that of the "
     "current policy (section 4). The paper measures the match on road-and-rocks alone."
@@ -50,7 +58,7 @@ def find(args: Namespace) -> Findings:
     outcomes = outcomes_of(args)
     tables = {"summary": summary(outcomes), "head-to-head": head_to_head(outcomes)}
     figures = {"footprint": (CAPTION, footprint_figure(outcomes))}
-    return findings(args, verdict(outcomes), tables, outcomes, figures)
+    return findings(args, in_sentences(outcomes), tables, outcomes, figures)
 
 
 def summary(outcomes: Sequence[Row]) -> list[Row]:
@@ -95,7 +103,7 @@ def head_to_head(outcomes: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row["against"] != UNIFORM]
 
 
-def verdict(outcomes: Sequence[Row]) -> list[str]:
+def in_sentences(outcomes: Sequence[Row]) -> list[str]:
     """The tables in words."""
     sentences, counted = [], informative_outcomes(outcomes)
     if counted:
@@ -124,6 +132,51 @@ def verdict(outcomes: Sequence[Row]) -> list[str]:
             f"samples of it are from each other, and distances are noise: {where}."
         )
     return sentences + answer_sentences(head_to_head(outcomes), "difference", "nearer at")
+
+
+def verdict(tables: Tables) -> Verdict:
+    """By the distances of TOM as printed and mended; recency and policy distance speak against."""
+    rows = {row["way"]: row for row in tables["summary"]}
+    ours = []
+    for row in (rows[way] for way in (PRINTED, MENDED) if way in rows):
+        signs = sign_test(
+            (one["env"], one["recording"], 1 - one["footprint"])
+            for one in informative_outcomes(tables["moments"])
+            if one["way"] == row["way"]
+        )
+        ours.append({**row, "p": signs.p, "better on": signs.above, "recordings": signs.n})
+    distances = [
+        f"{LABELS[row['way']]} {percent(row['distance'], 0)} "
+        f"({certainty(row, lambda end: percent(end, 0))})"
+        for row in ours
+    ]
+    sentence = (
+        "A weighted buffer keeps this share of its distance to what the policy does next: "
+        f"{', '.join(distances)}. Recorded trainings, {ours[0]['n']:.0f} moments."
+    )
+    rivals = {"recency": "Recency", "policy-distance": "The policies' distance"}
+    rival_sentences = [
+        f"{name}, which trains nothing, keeps {percent(rows[rival]['distance'], 0)}, which "
+        f"{_beside(pair, rival)} TOM mended ({certainty(pair, lambda end: percent(end, 0))})."
+        for pair in tables["head-to-head"]
+        for rival, name in rivals.items()
+        if {pair["way"], pair["against"]} == {MENDED, rival}
+    ]
+    shown = sorted((rows[way] for way in LABELS if way in rows), key=itemgetter("distance"))
+    points = [way_point(row, "distance", LABELS[row["way"]]) for row in shown]
+    axis = "distance to the policy (1: without weights)"
+    return Verdict(word_of_rows(ours), sentence, " ".join(rival_sentences), axis, 1, points)
+
+
+def _beside(pair: Row, rival: str) -> str:
+    """How a way's distance lies beside the other's of a pair, by the interval of the difference."""
+    differs = pair["p"] < SIGNIFICANT
+    if isfinite(pair["low"]):
+        differs = pair["low"] > 0 or pair["high"] < 0
+    if not differs:
+        return "cannot be told from"
+    further = (pair["difference"] > 0) == (pair["way"] == rival)
+    return "is further away than" if further else "is nearer than"
 
 
 def _moments(outcomes: Sequence[Row]) -> set[tuple[str, int]]:

@@ -95,6 +95,9 @@ for _name, _way in {
             label=f"half {_way.label.partition(' (')[0]} + half uniform",
             half=True,
         )
+LABELS = {name: way.label for name, way in WAYS.items() if way.label}
+OF_TOM = {"TOM": PRINTED, "TOM, mended": MENDED}
+"""the ways of whole trainings, by what tables of them call TOM's"""
 
 MODELS: dict[str, Mapping[str, Any]] = {
     "linear": {"kind": "linear"},
@@ -122,7 +125,7 @@ def first_sac_step(run: RunReader) -> float:
     named = ("exploration_steps",) if run.fits_model else ("exploration_steps", "steps")
     try:
         return sum(run.config["config"][name] for name in named)
-    except (KeyError, TypeError):
+    except KeyError:
         return inf
 
 

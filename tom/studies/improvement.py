@@ -46,6 +46,7 @@ from tom.record import RunReader
 from tom.reports.figures import learner_colour, strips
 from tom.rng import Streams
 from tom.studies.frozen import (
+    LABELS,
     MODELS,
     UNIFORM,
     WAYS,
@@ -68,10 +69,13 @@ from tom.studies.moments import (
     outcome_label,
     sign_test,
     trial_of,
+    way_point,
 )
 from tom.studies.study import Findings, Row, compute
+from tom.studies.verdicts import Tables, Verdict, side, word_of
 
 TITLE = "What weighting does for the policy"
+QUESTION = "Does the policy return more with weights in the model or in the starts?"
 CLAIM = (
     "Policies that are optimised in a model fitted by TOM's weights, from start states drawn by "
     "them, earn higher returns (section 5.2). The paper compares whole runs, and never one of the "
@@ -113,7 +117,7 @@ def find(args: Namespace) -> Findings:
     requested = [replace(case, updates=args.updates, episodes=args.episodes) for case in requested]
     trials = compute(args, improve, requested, outcome_label)
     rows, figures = summary(trials), {"improvement": (CAPTION, improvement_figure(trials))}
-    return findings(args, verdict(trials, rows), {"summary": rows}, trials, figures)
+    return findings(args, in_sentences(trials), {"summary": rows}, trials, figures)
 
 
 def _runs(args: Namespace) -> list[RunReader]:
@@ -281,8 +285,8 @@ def summary(trials: Sequence[Row]) -> list[Row]:
     return rows
 
 
-def verdict(trials: Sequence[Row], rows: Sequence[Row]) -> list[str]:
-    """The table in words, how far chance moves a return, and what cannot be said."""
+def in_sentences(trials: Sequence[Row]) -> list[str]:
+    """How many trials there are, how far chance moves a return, and what cannot be said."""
     keys = {trial_of(one) for one in trials}
     moments = {(recording, step) for recording, step, _ in keys}
     sentences = [
@@ -299,16 +303,36 @@ def verdict(trials: Sequence[Row], rows: Sequence[Row]) -> list[str]:
         sentences[0] += f" Two seeds of uniform weights differ by (median): {', '.join(noise)}."
     if lost := sum(not isfinite(sum(trial[place] for place in PLACES)) for trial in trials):
         sentences.append(f"SAC diverged in {lost} trials, which are left out.")
-    for row in (row for row in rows if row["p"] != ""):
-        less = row["recordings"] - row["better on"]
-        decided = "better" if row["better on"] > less else "worse"
-        sentences.append(
-            f"{row['way']}, {row['what'].partition(', ')[2]}: better in {row['better in trials']} "
-            f"of {row['n']} trials; better in most of them on {row['better on']} recordings, worse "
-            f"on {less} (sign test p = {row['p']:.2f}): "
-            + ("undecided." if row["p"] >= 0.05 else f"{decided} than uniform weights.")
-        )
     return sentences
+
+
+def verdict(tables: Tables) -> Verdict:
+    """By the sign test of every way and place, corrected for their number."""
+    difference = "difference, weights"
+    table = [
+        row
+        | {
+            "what": row["what"].replace(difference, LABELS.get(row["way"], row["way"])),
+            "share": row["better in trials"] / row["n"],
+        }
+        for row in tables["summary"]
+        if row["what"].startswith(difference)
+    ]
+    sides = [side(row["p"] * len(table), 2 * row["better in trials"] > row["n"]) for row in table]
+    trials = [
+        f"{row['better in trials']:.0f} of {row['n']:.0f} trials ({row['what']})"
+        for row in sorted(table, key=lambda row: row["share"])
+    ]
+    sentence = (
+        f"After one fit, the policy returned more than with uniform weights in {trials[0]} to "
+        f"{trials[-1]}; the smallest p of {len(table)} tests is {min(r['p'] for r in table):.2g}."
+    )
+    against = (
+        f"At most {max(row['recordings'] for row in table):.0f} recordings count in a test: only "
+        "a large effect of weights could have been seen."
+    )
+    points = [way_point(row, "share", row["what"]) for row in table]
+    return Verdict(word_of(sides), sentence, against, "share of trials returning more", 0.5, points)
 
 
 def improvement_figure(trials: Sequence[Row]) -> Figure:

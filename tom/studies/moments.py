@@ -17,13 +17,12 @@ import pandas as pd
 from scipy.stats import binomtest
 
 from tom.analysis.statistics import Interval, interval, mean
-from tom.envs import ENVS, ROAD, task, task_rank
+from tom.envs import ENVS, task, task_rank
 from tom.errors import UserError, check_known, reason
 from tom.exams import informative
 from tom.readable import whole
 from tom.record import RunReader, Store
-from tom.reports.report import WORDS
-from tom.reports.report import seeds as in_short
+from tom.reports.report import WORDS, in_short
 from tom.studies.frozen import ERROR, NEWEST, UNIFORM, WAYS, cases, examine, moments
 from tom.studies.study import (
     Findings,
@@ -33,6 +32,7 @@ from tom.studies.study import (
     compute,
     tasks,
 )
+from tom.studies.verdicts import Point, side, word_of
 
 if TYPE_CHECKING:  # the studio reads outcomes without loading matplotlib
     from matplotlib.figure import Figure
@@ -73,11 +73,7 @@ def chosen_runs(args: Namespace) -> list[RunReader]:
     able = [
         run
         for run in named or store.runs()
-        if run.is_run
-        and run.env != ROAD
-        and (named or run.env in envs)
-        and not {"buffer", "policies"} & set(run.left_out)
-        and moments(run, 1)
+        if (named or run.env in envs) and "buffer" not in run.left_out and moments(run, 1)
     ]
     if lacking := [run.run_id for run in named if run not in able]:
         raise UserError(
@@ -129,10 +125,8 @@ def outcomes_of(args: Namespace, models: Sequence[str] = ()) -> list[Row]:
     try:
         table = pd.read_csv(args.table, dtype=KINDS, float_precision="round_trip")
         outcomes = [dict(row) for row in table.to_dict("records")]
-        if {*KINDS, *MEASURES}.difference(table) or not outcomes:
+        if {*KINDS, *MEASURES}.difference(table):
             raise ValueError("it has no outcome")
-        if models and not models_of(outcomes):
-            raise ValueError("it has no model's errors")
     except OSError as error:
         raise UserError(f"cannot read {args.table}: {error}") from error
     except ValueError as error:
@@ -325,3 +319,31 @@ def with_interval(row: Row, name: str) -> str:
     """The number of a row with its interval, in words."""
     bounds = f" [{row['low']:.2f}, {row['high']:.2f}]" if isfinite(row["low"]) else ""
     return f"{row[name]:.2f}{bounds}"
+
+
+# Verdicts.
+
+
+def word_of_rows(rows: Sequence[Row]) -> str:
+    """The word for rows of a quantity that is better below 1, by their intervals or tests."""
+
+    def side_of(row: Row) -> int:
+        if isfinite(row["low"]):
+            return (row["high"] < 1) - (row["low"] > 1)
+        return side(row["p"] * len(rows), 2 * row["better on"] > row["recordings"])
+
+    return word_of([side_of(row) for row in rows])
+
+
+def certainty(row: Row, number: Callable[[float], str]) -> str:
+    """How sure a row's number is: its interval, else its test."""
+    if isfinite(row["low"]):
+        of = "difference " if "difference" in row else ""
+        return f"{of}{number(row['low'])} to {number(row['high'])}"
+    return f"p {row['p']:.2g}, {row['recordings']:.0f} recordings"
+
+
+def way_point(row: Row, column: str, line: str, series: str = "") -> Point:
+    """The point of a row's way, at the value in `column`."""
+    way, ends = row["way"], (row.get("low", nan), row.get("high", nan))
+    return Point(line, series, row[column], *ends, WAYS[way].learner or "", way)

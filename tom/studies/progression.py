@@ -28,19 +28,20 @@ from tom.errors import check_known
 from tom.policy.stored import NAME, UniformPolicy, read_policy
 from tom.record import RunReader
 from tom.reports.figures import Panel, profile_figure
-from tom.reports.report import seeds as in_short
+from tom.reports.report import in_short
 from tom.reports.weighing_files import profile_rows, profiles, write_weights
 from tom.studies.study import (
     Findings,
     Row,
     add_recordings,
-    agreement_with_paper,
     check,
     compute,
     recordings,
 )
+from tom.studies.verdicts import by_acceptance
 
 TITLE = "Weight progression"
+QUESTION = "Do the weights follow the policy along an ordered buffer?"
 CLAIM = (
     "On a buffer whose first half is random and whose second half is SAC's training in order, "
     "TOM's weights for the trained policy are low on the random half and rise towards the end; "
@@ -81,6 +82,8 @@ TITLES = {
     ("shuffled", "pmac"): "PMAC, rows shuffled",
 }
 
+verdict = by_acceptance
+
 
 def add_options(parser: ArgumentParser) -> None:
     add_recordings(parser)
@@ -110,7 +113,7 @@ def find(args: Namespace) -> Findings:
     judged, found = args.preset[0], checks(done)
     caption = "Mean weight along the ordered buffer, single seeds faint"
     return Findings(
-        sentences=verdict([row for row in found if row["preset"] == judged]),
+        sentences=in_sentences([row for row in found if row["preset"] == judged]),
         files={"profiles": _profiles(done)},
         titles={},
         figures={
@@ -224,8 +227,8 @@ def finding(
     }
 
 
-def verdict(found: Sequence[Row]) -> list[str]:
-    """Whether TOM's weights are low on random data, rise, and rise before the end."""
+def in_sentences(found: Sequence[Row]) -> list[str]:
+    """On how many recordings TOM's weights are low on random data, rise, and rise early."""
     sentences = []
     for quantity, (what, holds) in CLAIMS.items():
         wanted = ("own", "tom", quantity)
@@ -234,13 +237,10 @@ def verdict(found: Sequence[Row]) -> list[str]:
             for row in found
             if (row["condition"], row["learner"], row["quantity"]) == wanted
         ]
-        if values:
-            held = sum(map(holds, values))
-            sentences.append(
-                f"TOM's weights {what} in {held} of {len(values)} recordings "
-                f"({', '.join(f'{value:.3g}' for value in values)}): "
-                f"{agreement_with_paper(held, len(values))}"
-            )
+        sentences.append(
+            f"TOM's weights {what} in {sum(map(holds, values))} of {len(values)} recordings "
+            f"({', '.join(f'{value:.3g}' for value in values)})."
+        )
     return sentences
 
 

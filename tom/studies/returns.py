@@ -7,6 +7,7 @@ Trains nothing: `tom sweep` makes the runs.
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
+from math import isfinite
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -19,14 +20,31 @@ from tom.analysis.settings import differing_settings
 from tom.analysis.statistics import RANKED, remark
 from tom.envs import ENVS, task
 from tom.errors import UserError
+from tom.learners import LEARNERS, SUBJECT
 from tom.record import Store
 from tom.reports.figures import NEUTRAL, learner_colour, new_figure
 from tom.reports.report import origin_of_runs
-from tom.studies import returns_tables as tables
-from tom.studies.returns_cells import PAPER_ENVS, Cell, all_cells, compared_at, select
+from tom.studies.frozen import LABELS, OF_TOM
+from tom.studies.returns_cells import PAPER_ENVS, Cell, compared_at, select
+from tom.studies.returns_tables import (
+    MEASURES,
+    exams,
+    factors,
+    improvement,
+    less,
+    missing,
+    rollouts,
+    summary,
+)
 from tom.studies.study import Findings, Row, add_groups, add_runs, check_groups, tasks
+from tom.studies.verdicts import Point, Tables, Verdict, side, word_of
 
 TITLE = "Returns of every learner"
+QUESTION = "Do trainings with TOM's weights return more than MLE's?"
+FACTORS_QUESTION = (
+    "Do whole trainings return more with TOM's weights in the model, or in the starts?"
+)
+"""of runs with weights in the model, in the starts, in both and in none"""
 CLAIM = (
     "TOM performs best in aggregate in four of five environments, in sample efficiency and in "
     "final return, with larger gains where dynamics are complex (Walker2d, HalfCheetah, Humanoid); "
@@ -83,7 +101,7 @@ def find(args: Namespace) -> Findings:
     envs, planned = tasks(args.env), args.groups is not None
     whole, cells, left_out = _chosen(args, envs)
     by = [BY[name] for name in args.by]
-    sentences = verdict(cells)
+    sentences = in_sentences(cells)
     if left_out:
         sentences.append(
             "Left out, for other settings, a longer run of the seed, no evaluation, a first one "
@@ -93,13 +111,13 @@ def find(args: Namespace) -> Findings:
         sentences=sentences,
         files={
             "returns": _curves(cells),
-            "summary": tables.summary(cells),
-            "improvement": tables.improvement(cells, by, planned=planned),
-            "factors": tables.factors(cells, by),
-            "exams": tables.exams(cells),
-            "rollouts": tables.rollouts(cells),
-            "less": tables.less(cells, planned=planned),
-            "missing": tables.missing(whole, envs, args.learner),
+            "summary": summary(cells),
+            "improvement": improvement(cells, by, planned=planned),
+            "factors": factors(cells, by),
+            "exams": exams(cells),
+            "rollouts": rollouts(cells),
+            "less": less(cells, planned=planned),
+            "missing": missing(whole, envs, args.learner),
         },
         titles=TITLES,
         figures={"returns": (CAPTION, return_figure(cells))},
@@ -129,18 +147,15 @@ def _chosen(args: Namespace, envs: Sequence[str]) -> tuple[list[Cell], list[Cell
     groups = args.groups and [
         ", ".join(word for word in group.split(", ") if word != usual) for group in args.groups
     ]
-    have = sorted({cell.label for cell in all_cells(runs, args.preset, {}, args.apart)[0]})
-    for group in groups or ():
-        if group not in have:
-            raise UserError(f"--groups: no such run is of '{group}', but of: {'; '.join(have)}")
     cells, left_out = select(runs, *args.preset, at=at, apart=args.apart, groups=groups)
-    if not cells or {*(groups or ())}.difference(cell.label for cell in cells):
+    left = {cell.label for cell in cells}
+    if not cells or {*(groups or ())} - left:
         asked = {"--at": args.at, "--seeds": args.seeds, "--groups": groups}
         words = (f"{option} {' '.join(map(str, of))}" for option, of in asked.items() if of)
-        left = "; ".join(dict.fromkeys(cell.label for cell in cells)) or "nobody"
+        every = "; ".join(sorted({cell.label for cell in whole}))
         raise UserError(
-            f"{' '.join(words)}: {left} can be compared there; the longest run of all ends at "
-            f"{max(cell.longest for cell in whole):.0f}"
+            f"{' '.join(words)}: {'; '.join(sorted(left)) or 'nobody'} can be compared there, of "
+            f"{every}; the longest run of all ends at {max(cell.longest for cell in whole):.0f}"
         )
     return whole, cells, left_out
 
@@ -169,7 +184,7 @@ def _curves(cells: Sequence[Cell]) -> Iterator[Row]:
                 yield {**of, "step": int(step), "return": value, "best": best}
 
 
-def verdict(cells: Sequence[Cell]) -> list[str]:
+def in_sentences(cells: Sequence[Cell]) -> list[str]:
     """TOM's place among the groups with enough runs to be ranked, and the reservations."""
     of_paper = [c for c in cells if c.env in PAPER_ENVS]
     sentences = _places([c for c in of_paper if c.n >= RANKED])
@@ -228,6 +243,63 @@ def _places(ranked: Sequence[Cell]) -> list[str]:
             f"Compared before the end of the paper's training: {'; '.join(short)} steps."
         )
     return sentences
+
+
+def verdict(tables: Tables) -> Verdict:
+    """By the effect of each place where weights act, if it is known; else by wins over MLE."""
+    if "factors" in tables:
+        return _of_factors(tables["factors"])
+    return _of_wins(tables["improvement"])
+
+
+def _of_wins(rows: Sequence[Row]) -> Verdict:
+    """By the p of all of TOM's comparisons with MLE."""
+    learners = {entry.label: name for name, entry in LEARNERS.items()}
+    learners |= dict.fromkeys(OF_TOM, SUBJECT)
+    table = [row for row in rows if row["against"] == "MLE" and row["learner"] in learners]
+    shown = {label: label for label in learners} | {of: LABELS[way] for of, way in OF_TOM.items()}
+    ours = [row for row in table if row["learner"] in OF_TOM]
+    sides = [side(row["p of all"], row["wins"] > 0.5) for row in ours]
+    chances = [
+        f"{shown[row['learner']]} {10 * row['wins']:.0f} times in 10 (p {row['p']:.2g})"
+        for row in ours
+        if row["by"] == MEASURES[BEST]
+    ]
+    sentence = f"By best return, a random run beats a random run of MLE: {', '.join(chances)}."
+    least = min(row["p of all"] for row in ours)
+    remarks = (row["remark"] for row in ours if isinstance(row["remark"], str))
+    few = next((f" {one[0].upper()}{one[1:]}." for one in remarks), "")
+    against = f"Corrected for all comparisons of the table, the smallest p is {least:.2g}.{few}"
+    points = [
+        Point(
+            row["by"], shown[name := row["learner"]], row["wins"], row["low"], row["high"],
+            learners[name], OF_TOM.get(name, ""),
+        )
+        for row in table
+    ]  # fmt: skip
+    axis = "a random run beats one of MLE"
+    return Verdict(word_of(sides), sentence, against, axis, 0.5, points)
+
+
+def _of_factors(table: Sequence[Row]) -> Verdict:
+    """By the mean height of the curves, the p corrected for all tests of the table."""
+    tested = [row for row in table if isfinite(row["p"])]
+    rows = [row for row in tested if row["by"] == MEASURES[HEIGHT]]
+    found = [
+        f"{row['effect of']} {row['effect']:+.0f} ({row['low']:+.0f} to {row['high']:+.0f}, "
+        f"p {row['p']:.2g})"
+        for row in rows
+    ]
+    sentence = f"Mean return over a training: {', '.join(found)}."
+    few = next((f"; {row['remark']}" for row in rows if isinstance(row["remark"], str)), "")
+    p = ", ".join(f"{row['p of all']:.2g}" for row in rows)
+    against = f"Corrected for all {len(tested)} tests of the table, p is {p}. One task{few}."
+    points = [
+        Point(row["effect of"], "", row["effect"], row["low"], row["high"], SUBJECT) for row in rows
+    ]
+    sides = [side(row["p of all"], row["effect"] > 0) for row in rows]
+    word, question = word_of(sides), FACTORS_QUESTION
+    return Verdict(word, sentence, against, "return more", 0, points, question=question)
 
 
 def return_figure(cells: Sequence[Cell]) -> Figure:

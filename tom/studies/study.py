@@ -2,7 +2,8 @@
 
 A study is a module: its docstring says what is computed, `TITLE` and `CLAIM` (what the paper says)
 head its report, `add_options(parser)` adds its options, and `find(args)` computes its `Findings`,
-or raises UserError for bad input before anything is written. `tom reproduce`
+or raises UserError for bad input before anything is written. `verdict(tables)` answers its
+`QUESTION` from the rows of its files (tom/studies/verdicts.py). `tom reproduce`
 (tom/cli/reproduce.py) does the rest: files, report, JSON, exit code.
 
 A study's cases run each in its own process, and their outcomes are stored, so a study can resume.
@@ -60,7 +61,7 @@ class Findings:
     """What a study found."""
 
     sentences: Sequence[str]
-    """in sentences: whether the paper's claim holds"""
+    """what the tables say, in sentences; whether the claim holds is the verdict's to say"""
     files: Mapping[str, Iterable[Mapping[str, Any]]]
     """the rows of each CSV file, by its name"""
     titles: Mapping[str, str]
@@ -113,13 +114,6 @@ def add_jobs(parser: ArgumentParser) -> None:
 def tasks(names: Iterable[str]) -> list[str]:
     """The names of the tasks, each once. Raises UserError for an unknown one."""
     return list(dict.fromkeys(task(name).name for name in names))
-
-
-def agreement_with_paper(held: int, total: int) -> str:
-    """The end of a sentence that counts where a claim of the paper held."""
-    if held == total:
-        return "as the paper says."
-    return "mostly as the paper says." if 2 * held > total else "the paper says otherwise."
 
 
 def make_folder(path: Path) -> None:

@@ -16,14 +16,13 @@ from studio_pages import Show, draw, figures
 from studio_runs import PENDULUM_TOM
 
 from app.data import readers, studies
-from app.data.two_axes import verdicts
-from app.data.verdicts import verdict
+from app.data.verdicts import on_two_axes
 from app.links import Links
 from app.parts import jobs
 from app.servers.pages import routes
-from app.views.findings import question
 from tom.record import layout
 from tom.reports.report import write_csv, write_report
+from tom.studies import STUDIES, load
 
 pytestmark = pytest.mark.usefixtures("studio")
 GALLERY = Path(__file__).parents[3] / "runs" / "studies"
@@ -62,9 +61,9 @@ def test_studies_are_listed_with_their_files(reports: Path) -> None:
 def test_a_study_in_a_folder_of_another_name_has_its_commands_question(reports: Path) -> None:
     (study,) = (s for s in studies.listing(studies.FOLDER) if s.name == "road")
     other = replace(study, name="mine", origin={"command": "tom reproduce focus --out mine"})
-    assert other.question == studies.QUESTIONS["focus"]
+    assert other.question == load("focus").QUESTION
     assert replace(other, origin={"command": "make"}).question == ""
-    assert replace(other, name="road").question == studies.QUESTIONS["road"]
+    assert replace(other, name="road").question == load("road").QUESTION
 
 
 def test_the_page_shows_a_studys_figures_and_numbers(reports: Path, store: Path) -> None:
@@ -75,21 +74,21 @@ def test_the_page_shows_a_studys_figures_and_numbers(reports: Path, store: Path)
     assert "600 lines" in app.expander[0].label  # single values are folded away
     assert [frame.value.equals(errors) for frame in app.expander[0].dataframe] == [True]
     [image] = app.image
-    assert image.proto.imgs[0].alt == f"errors: {studies.QUESTIONS['focus']}"
+    assert image.proto.imgs[0].alt == f"errors: {load('focus').QUESTION}"
     offered = [code.value.split() for code in app.code]
-    assert {words[2] for words in offered} < studies.QUESTIONS.keys()
+    assert {words[2] for words in offered} < {*STUDIES}
     assert all(words[3:] in ([], ["--store", str(store)]) for words in offered)
 
 
 def test_a_card_says_its_question_and_finding_and_opens_the_study(reports: Path) -> None:
     app = draw("findings")
-    asked = {studies.QUESTIONS[name] for name in ("road", "focus")}
+    asked = {load(name).QUESTION for name in ("road", "focus")}
     assert {card.value for card in app.header} == asked
     assert "**found**" in [words.value for words in app.markdown]
     assert len(app.image) == 2
     app.button(key="open focus").click().run()
     assert app.query_params["study"] == "focus"
-    assert app.header[0].value == studies.QUESTIONS["focus"]
+    assert app.header[0].value == load("focus").QUESTION
 
 
 def test_all_ways_are_drawn_once_both_studies_are_there(
@@ -101,7 +100,7 @@ def test_all_ways_are_drawn_once_both_studies_are_there(
     shutil.copytree(GALLERY / "capacity", tmp_path / "reports" / "capacity")
     app = draw("findings")
     assert len(app.header) == 3
-    found = present(verdicts(studies.listing(studies.FOLDER)).get("capacity"))
+    found = present(on_two_axes(studies.listing(studies.FOLDER)).get("capacity"))
     ways = [one for panel in found.panels for one in panel.ways]
     drawn = figures(app)[0]["data"]
     assert [(*trace["x"], *trace["y"]) for trace in drawn] == [
@@ -116,7 +115,7 @@ def test_studies_of_one_question_share_a_card(tmp_path: Path, monkeypatch: pytes
     for name in ("capacity", "capacity-ways"):
         shutil.copytree(GALLERY / name, tmp_path / "reports" / name)
     app = draw("findings")
-    assert [card.value for card in app.header] == [studies.QUESTIONS["capacity"]]
+    assert [card.value for card in app.header] == [load("capacity").QUESTION]
     app.selectbox(key="capacity").select("capacity-ways").run()
     assert "PMER" in app.header[0].value
     assert app.query_params["capacity"] == "capacity-ways"
@@ -124,14 +123,6 @@ def test_studies_of_one_question_share_a_card(tmp_path: Path, monkeypatch: pytes
     assert app.button_group(key="study").options[1:] == ["capacity", "capacity-ways"]
     app.button_group(key="study").set_value("Every question").run()
     assert "study" not in app.query_params
-
-
-def test_a_study_without_toms_weights_asks_about_the_ways_that_it_has() -> None:
-    listed = {study.name: study for study in studies.listing(GALLERY)}
-    asked = {n: question(listed[n], verdict(listed[n])) for n in ("capacity", "capacity-ways")}
-    assert asked["capacity"] == studies.QUESTIONS["capacity"]
-    assert "PMER" in asked["capacity-ways"]
-    assert "TOM" not in asked["capacity-ways"]
 
 
 def test_a_study_says_the_claim_the_verdict_and_the_command(reports: Path) -> None:

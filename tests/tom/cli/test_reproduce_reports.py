@@ -13,6 +13,7 @@ from tom.cli import build_parser
 from tom.cli.reproduce import run
 from tom.reports.figures import new_figure
 from tom.studies.study import Findings, Row, check, tasks
+from tom.studies.verdicts import by_acceptance
 
 CHECKS = [check("TOM's success", 1.0, ">=", 0.8), check("MLE's", 0.5, "<=", 0.1)]
 UNJUDGED: Row = {"name": "for comparison", "value": 3.0, "bound": "", "met": None}
@@ -20,7 +21,9 @@ UNJUDGED: Row = {"name": "for comparison", "value": 3.0, "bound": "", "met": Non
 
 def made_up(find: Callable[[Namespace], Findings]) -> ModuleType:
     study = ModuleType("made_up")
-    vars(study).update(TITLE="Made up", CLAIM="the claim", find=find)
+    vars(study).update(
+        TITLE="Made up", QUESTION="Really?", CLAIM="the claim", find=find, verdict=by_acceptance
+    )
     return study
 
 
@@ -51,11 +54,14 @@ def test_what_is_met_and_what_is_not(tmp_path: Path, capsys: pytest.CaptureFixtu
     told = json.loads((tmp_path / "report.json").read_text())
     assert told["claim"] == "the claim"
     assert told["found"][0] == "Agrees."
-    assert told["found"][1].startswith("1 of 2 figures")
+    assert "In part" in told["found"][1]
     assert "MLE's" in told["found"][2]
     assert told["origin"]["seeds"] == "0-2"
-    assert "data:image/png" in (tmp_path / "report.html").read_text()
-    assert str(tmp_path) in capsys.readouterr().out
+    page, printed = (tmp_path / "report.html").read_text(), capsys.readouterr().out
+    assert "data:image/png" in page
+    assert str(tmp_path) in printed
+    for text in (page, printed):
+        assert "In part" in text
 
 
 def test_all_met(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -64,6 +70,12 @@ def test_all_met(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert told["checks"] == CHECKS[:1]
     assert told["numbers"] == [{"a": 1, "b": 0.5, "c": None}]
     assert len(told["verdict"]) == 2
+    assert "Yes" in told["verdict"][1]
+
+
+def test_a_study_with_nothing_to_judge_has_no_verdict(tmp_path: Path, capsys):
+    assert carried_out([], tmp_path, as_json=True) == 0
+    assert len(json.loads(capsys.readouterr().out)["verdict"]) == 1
 
 
 def test_what_is_named_twice_counts_once(tmp_path: Path):

@@ -4,7 +4,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 from tom.reports.figures import new_figure, save
-from tom.reports.report import NAME, seeds, write_report
+from tom.reports.report import NAME, in_short, write_report
 
 
 class Links(HTMLParser):
@@ -45,5 +45,5 @@ def test_a_report_is_one_file_that_fetches_nothing(tmp_path: Path):
 
 
 def test_seeds_in_short():
-    assert seeds([3, 0, 1, 2, 7, 2]) == "0-3, 7"
-    assert seeds([]) == ""
+    assert in_short([3, 0, 1, 2, 7, 2]) == "0-3, 7"
+    assert in_short([]) == ""

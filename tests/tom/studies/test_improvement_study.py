@@ -16,7 +16,7 @@ from tom.policy.stored import StoredPolicy, policy_arrays, resumed_sac
 from tom.record import RunReader, layout
 from tom.studies import improvement as study
 from tom.studies.frozen import WAYS, Case, Way, moments
-from tom.studies.improvement import improve, summary, verdict
+from tom.studies.improvement import improve, in_sentences, summary
 from tom.studies.study import Row
 
 
@@ -116,7 +116,7 @@ def test_a_summary_by_hand():
     assert (both["better in trials"], both["n"]) == (5, 9)
     # On a and b better in most trials, on c worse, on d in as many; four equal signs in 8 cases.
     assert (both["better on"], both["recordings"], both["p"]) == (2, 3, 1)
-    assert "diverged in 1 trials" in verdict(found, summary(found))[1]
+    assert "diverged in 1 trials" in in_sentences(found)[1]
 
 
 def copied(run: RunReader, to: Path) -> list[Path]:

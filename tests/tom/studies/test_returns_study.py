@@ -13,7 +13,7 @@ from tom.envs import ENVS
 from tom.record import Store
 from tom.studies import returns_cells as study
 from tom.studies import returns_tables as tables
-from tom.studies.returns import return_figure, verdict
+from tom.studies.returns import in_sentences, return_figure
 
 
 def record(
@@ -70,7 +70,7 @@ def test_runs_with_changed_settings_stand_beside_the_others_if_asked(store: Stor
     }
     assert not left_out
     assert len(return_figure(of_hopper).axes) == 1
-    assert any("differ in more than" in line for line in verdict(of_hopper))
+    assert any("differ in more than" in line for line in in_sentences(of_hopper))
 
 
 def test_learners_are_compared_at_a_step_that_all_reach(store: Store):
@@ -213,11 +213,11 @@ def test_learners_with_different_settings_are_not_ranked_without_a_remark(store:
         record(store, "ant", learner, 0, [1, 2])
         record(store, "halfcheetah", learner, 0, [1, 2], updates_per_step=7)  # both alike
     cells, _ = study.select(store.runs(), "paper")
-    assert not [line for line in verdict(cells) if "differ" in line]
+    assert not [line for line in in_sentences(cells) if "differ" in line]
     record(store, "hopper", "mle", 0, [3, 3, 3, 3, 3], updates_per_step=7)
     record(store, "hopper", "mle", 1, [3, 3, 3, 3, 3], updates_per_step=7)
     cells, _ = study.select(store.runs(), "paper")
-    (line,) = [line for line in verdict(cells) if "differ" in line]
+    (line,) = [line for line in in_sentences(cells) if "differ" in line]
     assert line.startswith("hopper: ")
     assert "(updates_per_step)" in line
 

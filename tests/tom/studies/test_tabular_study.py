@@ -166,15 +166,8 @@ def test_acceptance_of_the_exact_preset_on_dense_mdps(case: Case):
 @pytest.mark.slow
 def test_acceptance_of_the_exact_preset():
     """Eight MDPs under both divergences: what the estimator must reach."""
-    rows = [e.row for e in (estimated(case, VARIANTS[0]) for case in cases(range(2)))]
-    (found,) = summary(rows)
-    assert found["spearman"] >= 0.95
-    assert found["spearman_worst"] >= 0.90
-    assert found["l1"] <= 0.12
-    assert found["l1_worst"] <= 0.20
-    assert found["flow_residual_worst"] <= 0.12
-    assert found["log_ratio_worst"] >= 0.95
-    assert found["raw_mean_worst"] == pytest.approx(1.0, abs=0.05)
+    rows = [estimated(case, VARIANTS[0]).row for case in cases(range(2))]
+    assert not [check for check in acceptance(rows, []) if not check["met"]]
 
 
 @pytest.mark.slow

@@ -4,16 +4,14 @@ One question that a footprint study and a capacity study of the same moments ans
 """
 
 from collections.abc import Collection, Sequence
-from contextlib import suppress
 from math import exp, log
 
-from app.data import run_names
-from app.data.studies import Study
-from app.data.verdicts import LABELS, Panel, Verdict, tables_of, word_of
 from tom.analysis.statistics import COVERAGE, Interval
-from tom.studies.frozen import ERROR, MODELS, UNIFORM, WAYS
+from tom.readable import task_title
+from tom.studies.frozen import ERROR, LABELS, MODELS, UNIFORM, WAYS
 from tom.studies.moments import Value, informative_outcomes, over_recordings, ratios, trial_of
 from tom.studies.study import Row
+from tom.studies.verdicts import Panel, Verdict, word_of
 
 QUESTION = "Does weighing nearer to the policy make the paper's model better there?"
 PAPER_MODEL = list(MODELS)[-1]
@@ -22,31 +20,20 @@ Outcome = tuple[Row, float]
 """a row of a moment, with the number that counts"""
 
 
-def verdicts(listed: Sequence[Study]) -> dict[str, Verdict]:
-    """Answers to `QUESTION` by capacity study, each with the footprint study of the same ending.
+def verdict(near: Sequence[Row], errs: Sequence[Row]) -> Verdict:
+    """The answer to `QUESTION` by the moments of a footprint study and of a capacity study.
 
-    What counts are the moments of both; without any there is no answer.
+    What counts are the moments of both. Raises ValueError without any, and KeyError for tables of
+    another version.
     """
-    by_ending: dict[str, dict[str, Study]] = {}
-    for study in listed:
-        by_ending.setdefault(study.name.removeprefix(study.verb), {}).setdefault(study.verb, study)
-    found = {}
-    for by_verb in by_ending.values():
-        with suppress(KeyError, ValueError):  # one is not computed, or tables of another version
-            near, errs = (tables_of(by_verb[name])["moments"] for name in ("footprint", "capacity"))
-            shared = {*map(trial_of, near)} & {*map(trial_of, errs)}
-            near, errs = ([row for row in rows if trial_of(row) in shared] for rows in (near, errs))
-            distances = [(row, row["footprint"]) for row in informative_outcomes(near)]
-            errors = [
-                (row, log(r)) for row, model, r in ratios(errs, ERROR) if model == PAPER_MODEL
-            ]
-            every = (_panel(env, distances, errors) for env in {row["env"]: 0 for row in errs})
-            panels = [panel for panel in every if len(panel.ways) > 1]
-            one_sided = {row["way"] for row in near} ^ {row["way"] for row in errs}
-            if panels:
-                name, caption = by_verb["capacity"].name, _caption(panels, one_sided)
-                found[name] = Verdict(*_answer(panels), panels=panels, caption=caption)
-    return found
+    shared = {*map(trial_of, near)} & {*map(trial_of, errs)}
+    near, errs = ([row for row in rows if trial_of(row) in shared] for rows in (near, errs))
+    distances = [(row, row["footprint"]) for row in informative_outcomes(near)]
+    errors = [(row, log(r)) for row, model, r in ratios(errs, ERROR) if model == PAPER_MODEL]
+    every = (_panel(env, distances, errors) for env in {row["env"]: 0 for row in errs})
+    panels = [panel for panel in every if len(panel.ways) > 1]
+    one_sided = {row["way"] for row in near} ^ {row["way"] for row in errs}
+    return Verdict(*_answer(panels), panels=panels, caption=_caption(panels, one_sided))
 
 
 def _panel(env: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) -> Panel:
@@ -86,8 +73,7 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
         all_worse = all(error.low > 1 for *_, error in ways)
         sides.append(bool(both) - all_worse)
         per_task.append(
-            f"{run_names.task_title(panel.env)}: "
-            f"{', '.join(both) or 'none' + '; all err more' * all_worse}."
+            f"{task_title(panel.env)}: {', '.join(both) or 'none' + '; all err more' * all_worse}."
         )
     sentence = (
         "By their intervals, these are nearer to the policy than uniform weights and also err "
@@ -95,7 +81,7 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
     )
     fewest = sorted({panel.recordings for panel in panels} & {*COVERAGE})[:1]
     few = "".join(f" (with {n}, about {COVERAGE[n]} of 100 hold the true mean)" for n in fewest)
-    alone = [run_names.task_title(panel.env) for panel in panels if panel.recordings == 1]
+    alone = [task_title(panel.env) for panel in panels if panel.recordings == 1]
     none = f" {' and '.join(alone)}, with one recording, has none." if alone else ""
     against = (
         f"Intervals over so few recordings are too narrow{few}, and "
@@ -107,7 +93,7 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
 def _caption(panels: Sequence[Panel], one_sided: Collection[str]) -> str:
     """`one_sided` are the ways that only one of the two studies has."""
     n = ", ".join(
-        f"{run_names.task_title(p.env)} {p.moments} moment{'s' * (p.moments > 1)} of "
+        f"{task_title(p.env)} {p.moments} moment{'s' * (p.moments > 1)} of "
         f"{p.recordings} recording{'s' * (p.recordings > 1)}"
         for p in panels
     )

@@ -1,6 +1,5 @@
-"""Findings' words follow from the tables by the stated rule."""
+"""The words of verdicts follow from the tables by the stated rule."""
 
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -8,21 +7,28 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from app.data import studies
-from app.data.two_axes import verdicts
-from app.data.verdicts import Verdict, verdict
+from tom.reports.report import read_csv, read_tables
+from tom.studies import STUDIES, load, two_axes
+from tom.studies.verdicts import Tables, Verdict, verdict_of
 
 GALLERY = Path(__file__).parents[3] / "runs" / "studies"
 
 
-def of(name: str, folder: Path = GALLERY) -> Verdict:
-    found = verdict(next(one for one in studies.listing(folder) if one.name == name))
+def of(name: str, **changed: Any) -> Verdict:
+    """The verdict of a study of the gallery, or of one with these tables, `_` for `-`."""
+    tables: Tables = read_tables((GALLERY / name).glob("*.csv"))
+    other = {key.replace("_", "-"): table.to_dict("records") for key, table in changed.items()}
+    found = verdict_of(load(name.partition("-")[0]), {**tables, **other})
     assert found is not None
     return found
 
 
 def read(name: str, table: str) -> Any:
-    return pd.read_csv(GALLERY / name / f"{table}.csv")
+    return read_csv(GALLERY / name / f"{table}.csv")
+
+
+def on_two_axes(near: Any, errs: Any) -> Verdict:
+    return two_axes.verdict(near.to_dict("records"), errs.to_dict("records"))
 
 
 @pytest.mark.parametrize(
@@ -44,16 +50,12 @@ def test_the_distances_are_medians_over_moments_averaged_over_recordings_and_tas
     ("low", "high", "said"),
     [(0.05, 0.2, "further"), (-0.2, -0.05, "nearer"), (-0.1, 0.1, "cannot be told")],
 )
-def test_a_rival_is_judged_by_the_interval_of_the_difference(
-    tmp_path: Path, low: float, high: float, said: str
-):
-    shutil.copytree(GALLERY / "footprint", tmp_path / "footprint")
+def test_a_rival_is_judged_by_the_interval_of_the_difference(low: float, high: float, said: str):
     table = read("footprint", "head-to-head")
     row = (table["way"] == "tom-mended") & (table["against"] == "recency")
     assert row.any()
     table.loc[row, ["difference", "low", "high"]] = -(low + high) / 2, -high, -low
-    table.to_csv(tmp_path / "footprint" / "head-to-head.csv", index=False)
-    assert said in of("footprint", tmp_path).against
+    assert said in of("footprint", head_to_head=table).against
 
 
 def test_the_least_p_is_corrected_for_all_tests_that_are_shown():
@@ -69,6 +71,9 @@ def test_a_study_without_tom_is_judged_by_the_ways_it_has():
     found = of("capacity-ways")
     assert {point.series for point in found.points} == {"policy distance", "PMER"}
     assert found.word == "No"  # one errs more, the other no less
+    assert "PMER" in found.question
+    assert "TOM" not in found.question
+    assert not of("capacity").question  # the study's own
     assert of("footprint-ways").word == "Yes"
 
 
@@ -76,22 +81,18 @@ def test_a_study_without_tom_is_judged_by_the_ways_it_has():
     ("wins", "p", "word"),
     [(0.9, 0.01, "Yes"), (0.1, 0.01, "No"), (0.9, 0.2, "No difference seen")],
 )
-def test_returns_are_judged_by_the_corrected_p(tmp_path: Path, wins: float, p: float, word: str):
-    shutil.copytree(GALLERY / "returns", tmp_path / "returns")
+def test_returns_are_judged_by_the_corrected_p(wins: float, p: float, word: str):
     table = read("returns", "improvement")
     table.loc[table["learner"].str.startswith("TOM"), ["wins", "p of all"]] = wins, p
-    table.to_csv(tmp_path / "returns" / "improvement.csv", index=False)
-    assert of("returns", tmp_path).word == word
+    assert of("returns", improvement=table).word == word
 
 
 @pytest.mark.parametrize(("p", "word"), [(0.01, "In part"), (0.2, "No difference seen")])
-def test_model_and_starts_are_judged_by_the_corrected_p(tmp_path: Path, p: float, word: str):
-    shutil.copytree(GALLERY / "returns-apart-40000", tmp_path / "returns-apart-40000")
+def test_model_and_starts_are_judged_by_the_corrected_p(p: float, word: str):
     table = read("returns-apart-40000", "factors")
     starts = (table["effect of"] == "weighted starts") & (table["by"] == "area under the curve")
     table.loc[starts, ["effect", "p of all"]] = 123.4, p
-    table.to_csv(tmp_path / "returns-apart-40000" / "factors.csv", index=False)
-    found = of("returns-apart-40000", tmp_path)
+    found = of("returns-apart-40000", factors=table)
     assert found.word == word
     assert 123.4 in [point.value for point in found.points]
     assert "+123" in found.sentence
@@ -111,22 +112,18 @@ def test_no_trial_s_share_is_beyond_chance():
 @pytest.mark.parametrize(
     ("name", "met", "word"),
     [
-        ("road", ["True", "True", ""], "Yes"),
-        ("tabular", ["True", "False"], "In part"),
-        ("progression", ["False", "False", ""], "No"),
+        ("road", [True, True, None], "Yes"),
+        ("tabular", [True, False], "In part"),
+        ("progression", [False, False, None], "No"),
     ],
 )
 def test_an_acceptance_is_judged_by_the_numbers_that_are_met(
-    tmp_path: Path, name: str, met: list[str], word: str
+    name: str, met: list[bool | None], word: str
 ):
-    (tmp_path / name).mkdir()
-    lines = [f"number {i},{one}" for i, one in enumerate(met)]
-    (tmp_path / name / "checks.csv").write_text("\n".join(["name,met", *lines]))
-    found = of(name, tmp_path)
-    assert (found.word, bool(found.against)) == (word, "False" in met)
-    assert [f"number {i}" in found.against for i, one in enumerate(met)] == [
-        one == "False" for one in met
-    ]
+    names = [f"number {i}" for i in range(len(met))]
+    found = of(name, checks=pd.DataFrame({"name": names, "met": met}))
+    assert (found.word, bool(found.against)) == (word, False in met)
+    assert [name in found.against for name in names] == [one is False for one in met]
 
 
 @pytest.mark.parametrize(
@@ -134,17 +131,15 @@ def test_an_acceptance_is_judged_by_the_numbers_that_are_met(
     [(7, (0.5, 0.5), "Yes"), (7, (2.0, 0.5), "In part"), (4, (0.5, 0.5), "No difference seen")],
 )
 def test_a_models_error_is_judged_by_a_sign_test_over_recordings(
-    tmp_path: Path, recordings: int, shares: tuple[float, float], word: str
+    recordings: int, shares: tuple[float, float], word: str
 ):
-    (tmp_path / "focus").mkdir()
     rows = [
-        f"hopper-s{i},{rival},{share},3"
+        (f"hopper-s{i}", rival, share, 3)
         for i in range(recordings)
         for rival, share in zip(("mle", "tom paper", "tom mended"), (1.0, *shares), strict=True)
     ]
-    head = "recording,rival,policy / mle,random / mle"
-    (tmp_path / "focus" / "summary.csv").write_text("\n".join([head, *rows]))
-    found = of("focus", tmp_path)
+    columns = ["recording", "rival", "policy / mle", "random / mle"]
+    found = of("focus", summary=pd.DataFrame(rows, columns=columns))
     assert found.word == word  # 2 / 2 ** 7 for each of two presets, 2 / 2 ** 4
     assert sorted({point.value for point in found.points}) == sorted({*shares})
     assert f"{2 / 2**recordings:.2g}" in found.against
@@ -153,14 +148,11 @@ def test_a_models_error_is_judged_by_a_sign_test_over_recordings(
 @pytest.mark.parametrize(
     ("shares", "word"), [((0.9, 0.8, 0.2), "No"), ((0.1, 0.2, 0.9), "Yes"), ((0.1, 0.9), "In part")]
 )
-def test_profiles_are_judged_by_where_most_of_them_lie(
-    tmp_path: Path, shares: tuple[float, ...], word: str
-):
-    (tmp_path / "online").mkdir()
-    rows = [f"ant,TOM,{step},{share / 2},{share},r" for step, share in enumerate(shares)]
-    head = "env,learner,step,newest tenth,excess there,run"
-    (tmp_path / "online" / "online.csv").write_text("\n".join([head, *rows, "ant,TOM,9,0.1,,r"]))
-    found = of("online", tmp_path)
+def test_profiles_are_judged_by_where_most_of_them_lie(shares: tuple[float, ...], word: str):
+    rows = [("ant", "TOM", step, share / 2, share, "r") for step, share in enumerate(shares)]
+    rows.append(("ant", "TOM", 9, 0.1, np.nan, "r"))
+    columns = ["env", "learner", "step", "newest tenth", "excess there", "run"]
+    found = of("online", online=pd.DataFrame(rows, columns=columns))
     assert found.word == word
     assert f"{sum(share < 0.5 for share in shares)} of {len(shares)} " in found.sentence
     assert [point.value for point in found.points] == [
@@ -168,12 +160,11 @@ def test_profiles_are_judged_by_where_most_of_them_lie(
     ]
 
 
-def test_a_study_without_a_rule_or_with_other_tables_has_no_verdict(tmp_path: Path):
-    (tmp_path / "footprint").mkdir()
-    (tmp_path / "online").mkdir()
-    for name in ("footprint", "online"):
-        (tmp_path / name / "summary.csv").write_text("a,b\n1,2\n")
-    assert [verdict(study) for study in studies.listing(tmp_path)] == [None, None]
+@pytest.mark.parametrize("name", STUDIES)
+def test_tables_of_another_version_have_no_verdict(name: str):
+    other = {key: [{"a": 1}] for key in ("summary", "online", "improvement", "checks")}
+    assert verdict_of(load(name), {}) is None
+    assert verdict_of(load(name), other) is None
 
 
 KEY = ["env", "recording", "step"]
@@ -186,16 +177,15 @@ def over_recordings(of_moments: Any, env: str, way: str) -> Any:
 
 
 def test_a_way_stands_at_its_mean_over_recordings_with_their_spread():
-    near = read("footprint", "moments")
+    near, errs = read("footprint", "moments"), read("capacity", "moments")
+    panels = on_two_axes(near, errs).panels
     near = near[near["footprint_noise"].abs() < 1].pivot(index=KEY, columns="way")["footprint"]
-    errs = read("capacity", "moments").pivot(index=KEY, columns="way")["error 200 x 4"]
+    errs = errs.pivot(index=KEY, columns="way")["error 200 x 4"]
     errs = errs.div(errs["uniform"], axis=0).apply(np.log)
     n = near.dropna(how="all").groupby(level="env").size()
     assert (n <= errs.groupby(level="env").size()).all()  # of some moments the distance is noise
-    assert {panel.env for panel in verdicts(studies.listing(GALLERY))["capacity"].panels} == {
-        *n.index
-    }
-    for panel in verdicts(studies.listing(GALLERY))["capacity"].panels:
+    assert {panel.env for panel in panels} == {*n.index}
+    for panel in panels:
         assert panel.moments == n[panel.env]
         assert {way for way, *_ in panel.ways} == {*near} & {*errs}
         for way, distance, error in panel.ways:
@@ -209,29 +199,13 @@ def test_a_way_stands_at_its_mean_over_recordings_with_their_spread():
 
 
 @pytest.mark.parametrize(("error", "word"), [(0.01, "Yes"), (100, "No"), (1, "In part")])
-def test_the_answer_is_yes_where_a_way_is_better_on_both_axes(
-    tmp_path: Path, error: float, word: str
-):
-    for name in ("footprint", "capacity"):
-        shutil.copytree(GALLERY / name, tmp_path / name)
-    table = pd.read_csv(tmp_path / "capacity" / "moments.csv")
-    table.loc[table["way"] != "uniform", "error 200 x 4"] *= error
-    table.to_csv(tmp_path / "capacity" / "moments.csv", index=False)
-    found = verdicts(studies.listing(tmp_path))["capacity"]
+def test_the_answer_is_yes_where_a_way_is_better_on_both_axes(error: float, word: str):
+    near, errs = read("footprint", "moments"), read("capacity", "moments")
+    errs.loc[errs["way"] != "uniform", "error 200 x 4"] *= error
+    found = on_two_axes(near, errs)
     assert found.word == word
     assert "VaGram" in found.caption  # no model was fitted with its weights
-    near = pd.read_csv(tmp_path / "footprint" / "moments.csv")
-    near[near["env"] == "hopper"].to_csv(tmp_path / "footprint" / "moments.csv", index=False)
-    assert [panel.env for panel in verdicts(studies.listing(tmp_path))["capacity"].panels] == [
-        "hopper"
-    ]
-    (tmp_path / "footprint" / "moments.csv").write_text("way\nuniform\n")  # of another version
-    assert not verdicts(studies.listing(tmp_path))
-
-
-def test_studies_whose_names_end_alike_belong_together(tmp_path: Path):
-    for name, ending in (("footprint", ""), ("footprint", "-b"), ("capacity", "-b")):
-        shutil.copytree(GALLERY / name, tmp_path / f"{name}{ending}")
-    listed = studies.listing(tmp_path)
-    assert [*verdicts(listed)] == ["capacity-b"]
-    assert verdicts(listed)["capacity-b"] == verdicts(studies.listing(GALLERY))["capacity"]
+    of_hopper = on_two_axes(near[near["env"] == "hopper"], errs)
+    assert [panel.env for panel in of_hopper.panels] == ["hopper"]
+    with pytest.raises(ValueError, match="nothing to judge"):
+        on_two_axes(near, errs[:0])
