@@ -15,7 +15,7 @@ from app.figures.base import OCTAVES
 from app.figures.road import GOAL, START
 from app.scenes import solids
 from app.scenes.control import RoadChoice
-from app.scenes.frame import Frame, Vector, add_text, set_up_lights, text_extent
+from app.scenes.frame import ASPECT, Frame, Vector, add_text, set_up_lights, stand_back, text_extent
 from app.scenes.solids import Colour, Robot, copies, weight_colours
 from app.theme import NEUTRAL, Mode, learner_colour, rgb
 from tom.errors import UserError
@@ -38,17 +38,15 @@ STEPS_PER_S, REST = 20.0, 20
 FRAME_S, STRIDE, REST_S = 0.1, 2, 1.0
 """of a film: seconds between two frames, steps of the task, and seconds after the cars' arrival"""
 
-CAMERA = (0.5, -0.12, 0.82)
-LOOK_AT = (0.5, 0.59, 0.0)
-"""behind the centre, so that the panel does not cover the map"""
+CAMERA = (-0.12, 0.82)
+LOOK_AT = (0.59, 0.0)
+"""y and z; behind the centre, so that the panel does not cover the map"""
 TALLEST = 0.13
 """height of a column whose weight is 16 times the uniform one or more"""
 LIFT = 0.006
 """height of lines above the surface"""
 GAP = 0.18
 """between two maps side by side"""
-ASPECT = 16 / 9
-"""width over height of a picture whose frame is not known"""
 TITLE, NAME = 0.048, 0.03
 """height of letters"""
 MARGIN = 0.008
@@ -191,19 +189,13 @@ def map_x(number: int) -> float:
     return number * (1 + GAP)
 
 
-def camera_for(count: int, fov: float, aspect: float = ASPECT) -> tuple[Vector, Vector]:
-    """The camera's position and target for `count` maps side by side.
+def camera_for(count: int) -> tuple[Vector, Vector, Vector]:
+    """The camera's position and target for `count` maps side by side, and their front corner.
 
-    It goes back until their front corners, with the words beside them, are in a picture that is
-    `fov` radians high and `aspect` times as wide.
+    The words beside the maps are within the corner.
     """
-    (_, y, z), (_, at, ground) = CAMERA, LOOK_AT
-    back = np.hypot(at - y, z)
-    nearer = at * (at - y) / back  # by this the maps' front edge is nearer than the target
-    half = map_x(count) / 2
-    away = max(1.0, float(half / (aspect * np.tan(fov / 2)) + nearer) / back)
-    middle = half - GAP / 2
-    return (middle, at + (y - at) * away, z * away), (middle, at, ground)
+    middle = (map_x(count) - GAP) / 2
+    return (middle, *CAMERA), (middle, *LOOK_AT), (-GAP / 2, 0.0, 0.0)
 
 
 def columns(
@@ -343,10 +335,7 @@ class RoadFrame(Frame):
 
     def _draw(self, shown: list[tuple[str, Picture]]) -> None:
         if len(shown) != len(self._scenes):
-            camera = self.client.camera
-            high = camera.image_height  # 0 in a tab that was never in front
-            aspect = camera.image_width / high if high else ASPECT
-            self.set_camera(*camera_for(len(shown), camera.fov, aspect))
+            self.set_camera(*camera_for(len(shown)))
         self.clear()
         called = distinct_names([self.store.run(run) for run, _ in shown])
         self._scenes = [
@@ -378,7 +367,9 @@ def as_html(fits: Sequence[Sequence[Picture]], mode: Mode, titles: Sequence[str]
         set_up_lights(server.scene, mode, front=0.5)
         server.scene.world_axes.visible = False
         camera = server.initial_camera
-        camera.position, camera.look_at = camera_for(len(fits[0]), camera.fov)
+        position, at, corner = camera_for(len(fits[0]))
+        camera.position = stand_back(position, at, corner, camera.fov, ASPECT)
+        camera.look_at = at
         scenes = [
             RoadScene(server.scene, picture, mode, i, title)
             for i, (picture, title) in enumerate(zip(fits[0], titles, strict=True))

@@ -69,11 +69,12 @@ class StatesFrame(Frame):
             self._pose(self._at)
         if run.env != self._env:
             self._env, self._dt = run.env, model.dt
-            width, depth = 3.6 * size
-            away = 0.5 * width + 0.4
+            width, depth = size.tolist()
+            away = 1.8 * width + 0.4
             self.set_camera(
-                (0.1, -away, height + 1.0 + 0.35 * away), (0.1, 0.3 * depth, height + 0.5)
-            )
+                (0.0, -away, height + 1.0 + 0.35 * away), (0.0, 1.1 * depth, height + 0.5),
+                corner=(-(ROBOTS_IN_LINE + 0.25) * width, -depth / 2, height),
+            )  # fmt: skip
         self._drawn = choice
 
     def _group(

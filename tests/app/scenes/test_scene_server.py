@@ -2,24 +2,39 @@
 
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 import viser
+from common import present
 from kernel import wait_for
 from studio_pages import answers
 from studio_runs import PENDULUM_TOM
 from viser import _messages
+from viser.transforms import SO3
 from websockets.sync.client import ClientConnection, unix_connect
 from websockets.typing import Subprotocol
 
+from app.data.buffer import WINDOW
 from app.links import Links
-from app.scenes.control import Clock, Command, ReplayChoice, Selection, clock, listen
+from app.scenes.control import (
+    Clock,
+    Command,
+    ReplayChoice,
+    Selection,
+    StatesChoice,
+    clock,
+    listen,
+)
 from app.scenes.frame import Frame
 from app.scenes.replay import ReplayFrame
 from app.scenes.server import SceneServer
+from app.scenes.states import StatesFrame
 
 CAMERA = _messages.ViewerCameraMessage(
     wxyz=(1.0, 0.0, 0.0, 0.0),
@@ -42,8 +57,9 @@ def served(store: Path, tmp_path: Path) -> Iterator[SceneServer]:
     made.server.stop()
 
 
-def frame_of_a_page(served: SceneServer) -> ClientConnection:
+def frame_of_a_page(served: SceneServer, aspect: float = 1) -> ClientConnection:
     """A browser frame, as viser's own client opens it: it says where its camera stands."""
+    camera = replace(CAMERA, image_width=round(aspect * CAMERA.image_height))
     opened = unix_connect(
         str(served.links.file("scenes")),
         f"ws://scenes/{PAGE}",
@@ -51,13 +67,13 @@ def frame_of_a_page(served: SceneServer) -> ClientConnection:
         max_size=None,
         max_queue=None,
     )
-    opened.send(msgspec.msgpack.encode(CAMERA.as_serializable_dict()))
+    opened.send(msgspec.msgpack.encode(camera.as_serializable_dict()))
     return opened
 
 
-def only_frame(served: SceneServer) -> ReplayFrame | None:
+def only_frame(served: SceneServer, kind: type[Frame] = ReplayFrame) -> Any:
     frames = [frame for _, frame in served.frames.values()]
-    return frames[0] if len(frames) == 1 and isinstance(frames[0], ReplayFrame) else None
+    return frames[0] if len(frames) == 1 and isinstance(frames[0], kind) else None
 
 
 def asked(times: int) -> Selection:
@@ -89,12 +105,33 @@ def test_a_page_plays_pauses_and_asks_where_its_episode_is(served: SceneServer) 
     with frame_of_a_page(served):
         wait_for(lambda: served.clock(PAGE) == Clock(3, playing=False))
         served.select(PAGE, wish(1, "play", 3))
-        served.tick(2 * only_frame(served)._replay.dt)  # pyright: ignore[reportOptionalMemberAccess]
+        served.tick(2 * only_frame(served)._replay.dt)
         assert served.clock(PAGE) == Clock(5, playing=True, request=1)
         served.select(PAGE, wish(2, "pause", 5))
         assert served.clock(PAGE) == Clock(5, playing=False, request=2)
         served.select(PAGE, wish(3, "go", 3))  # once more to where it was sent before
         assert served.clock(PAGE) == Clock(3, playing=False, request=3)
+
+
+@pytest.mark.parametrize("aspect", [1, 1.5, 4])
+def test_a_frame_of_any_width_has_all_robots_in_its_picture(
+    served: SceneServer, aspect: float
+) -> None:
+    group = tuple(range(0, 180, 20)), (1.0,) * 9
+    choice = StatesChoice(PENDULUM_TOM, (("heaviest", *group), ("lightest", *group)))
+    served.select(PAGE, Selection(choice))
+    with frame_of_a_page(served, aspect):
+        wait_for(lambda: (frame := only_frame(served, StatesFrame)) and frame._drawn)
+        frame = present(only_frame(served, StatesFrame))
+        camera = frame.client.camera
+        seen = [
+            (robot._position[:, WINDOW] + place - camera.position) @ SO3(camera.wxyz).as_matrix()
+            for robot, place in frame._robots
+        ]
+        across, down, ahead = np.concatenate(seen).reshape(-1, 3).T
+        half = ahead * np.tan(camera.fov / 2)
+        assert (np.abs(across) < aspect * half).all()
+        assert (np.abs(down) < half).all()
 
 
 def test_a_page_asks_over_its_socket(tmp_path: Path) -> None:
