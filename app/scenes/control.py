@@ -38,7 +38,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class RoadChoice:
-    """Fits of road-and-rocks runs side by side."""
+    """Road-and-rocks runs side by side, each at its last fit up to `step`."""
 
     runs: tuple[str, ...] = ()
     step: int = -1

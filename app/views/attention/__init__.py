@@ -306,25 +306,24 @@ def _road(scope: Scope, run: RunReader, step: int) -> None:
         "Side by side with", list(others), "beside", full_names(shown).__getitem__,
         max_selections=MOST_BESIDE, placeholder="no other run",
     )  # fmt: skip
-    picture = road.fit(run, step)
-    if picture is None:
+    if road.fit(run, step) is None:
         st.warning("This run's map cannot be read.")
         return
     _road_numbers(run)
     runs = [run, *(others[run_id] for run_id in beside)]
-    choice = RoadChoice(tuple(each.run_id for each in runs), picture.step)
+    choice = RoadChoice(tuple(each.run_id for each in runs), step)
     names = distinct_names(runs)
     if len(runs) > 1:
         widgets.show_scene(choice, ROAD_HEIGHT)
         for column, each in zip(st.columns(len(runs)), runs, strict=True):
             with column, st.container(border=True):
-                _flat_map(each, picture.step, SMALL_HEIGHT, names[each.run_id])
+                _flat_map(each, step, SMALL_HEIGHT, names[each.run_id])
     else:
         left, right = st.columns([5, 4])
         with left:
             widgets.show_scene(choice, ROAD_HEIGHT)
         with right:
-            _flat_map(run, picture.step, ROAD_HEIGHT)
+            _flat_map(run, step, ROAD_HEIGHT)
     _export(runs, list(names.values()))
     widgets.link_to("curves", "All runs of this task, side by side")
     for each in runs[1:]:

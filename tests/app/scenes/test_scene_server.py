@@ -14,7 +14,7 @@ import viser
 from common import present
 from kernel import wait_for
 from studio_pages import answers
-from studio_runs import PENDULUM_TOM
+from studio_runs import PENDULUM_TOM, ROAD_TOM
 from viser import _messages
 from viser.transforms import SO3
 from websockets.sync.client import ClientConnection, unix_connect
@@ -26,6 +26,7 @@ from app.scenes.control import (
     Clock,
     Command,
     ReplayChoice,
+    RoadChoice,
     Selection,
     StatesChoice,
     clock,
@@ -33,8 +34,10 @@ from app.scenes.control import (
 )
 from app.scenes.frame import Frame
 from app.scenes.replay import ReplayFrame
+from app.scenes.road import PLAY_S, RoadFrame
 from app.scenes.server import SceneServer
 from app.scenes.states import StatesFrame
+from tom.record.reader import RunReader
 
 CAMERA = _messages.ViewerCameraMessage(
     wxyz=(1.0, 0.0, 0.0, 0.0),
@@ -132,6 +135,21 @@ def test_a_frame_of_any_width_has_all_robots_in_its_picture(
         half = ahead * np.tan(camera.fov / 2)
         assert (np.abs(across) < aspect * half).all()
         assert (np.abs(down) < half).all()
+
+
+def test_after_the_fits_have_played_the_timelines_is_shown(
+    served: SceneServer, store: Path
+) -> None:
+    first, last = RunReader(store / ROAD_TOM).snapshot_steps()[-2:]
+    served.select(PAGE, Selection(RoadChoice((ROAD_TOM,), first)))
+    with frame_of_a_page(served):
+        wait_for(lambda: (frame := only_frame(served, RoadFrame)) and frame._drawn)
+        frame = present(only_frame(served, RoadFrame))
+        frame.play.value = True
+        frame.tick(PLAY_S)
+        assert frame._drawn == [(ROAD_TOM, last)]
+        frame.play.value = False
+        wait_for(lambda: frame._drawn == [(ROAD_TOM, first)], 10)
 
 
 def test_a_page_asks_over_its_socket(tmp_path: Path) -> None:
