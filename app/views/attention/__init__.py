@@ -258,9 +258,8 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
 
         figure = get_or_make(("profile", run.path, fit), run.version("profiles"), profile_figure)
         finite = np.maximum(np.nan_to_num(profiles.bins), FLOOR)  # JSON has no NaN
-        follow = Follow(
-            steps=fits, trace=np.where(finite < 1, finite.round(4), finite.round(2)).tolist()
-        )
+        rounded = np.where(finite < 1, finite.round(4), finite.round(2)).tolist()
+        follow = Follow(trace={at: {"y": y} for at, y in zip(fits, rounded, strict=True)})
         label = "mean weight, oldest to newest transitions"
         chart(figure, "profile", label, follow=follow, after=SELECTOR)
 
@@ -338,11 +337,11 @@ def _flat_map(run: RunReader, step: int, height: int, name: str = "") -> None:
         return
     if name:
         st.markdown(f"**{text.markdown(name)}**, step {picture.step:,}")
-    of_step = {at: found for at in road.steps(run) if (found := road.picture(run, at))}
+    of_step = {at: cells(found) for at in road.steps(run) if (found := road.picture(run, at))}
     chart(
         road_map(picture, session.mode(), height), f"road map {run.run_id}",
         "mean weight over the map, with road and trajectories",
-        follow=Follow(steps=list(of_step), trace=[cells(found) for found in of_step.values()]),
+        follow=Follow(trace=of_step),
     )  # fmt: skip
 
 
