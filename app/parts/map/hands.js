@@ -34,16 +34,16 @@ function valueAt(root, point) {
 // The row nearest to a point of the canvas, if one is near; a chosen one before others.
 function rowAt(root, [px, py]) {
   const { rows, given, place } = root;
-  const axes = given.planes[0]?.axes.map((axis) => here(axis.url));
-  if (!axes?.[0] || !axes[1] || !place) return null;
+  const [X, Y] = given.planes[0]?.axes.map(rows.codes) ?? [];
+  if (!X || !Y || !place) return null;
   const [cx, cy] = codeAt(root, [px, py]);
   const { clientWidth, clientHeight } = root.querySelector(".map-cells");
   const [wide, high] = [((root.view.x[1] - root.view.x[0]) * NEAR_PX) / clientWidth, ((root.view.y[1] - root.view.y[0]) * NEAR_PX) / clientHeight];
   let [best, row] = [1, null];
   for (let i = 0; i < rows.count; i++) {
-    const dx = (axes[0][rows.first + i] - cx) / wide;
+    const dx = (X[i] - cx) / wide;
     if (dx > 1 || dx < -1) continue;
-    const dy = (axes[1][rows.first + i] - cy) / high;
+    const dy = (Y[i] - cy) / high;
     const away = dx * dx + dy * dy + (rows.failed[i] ? 0.5 : 0);
     if (away < best) [best, row] = [away, rows.first + i];
   }
@@ -141,8 +141,7 @@ function resetView(root) {
 }
 
 function overAgain(root) {
-  const plane = root.given.planes[0];
-  const [X, Y] = plane.axes.map((axis) => here(axis.url)?.subarray(root.rows.first, root.rows.first + root.rows.count));
+  const [X, Y] = root.given.planes[0].axes.map(root.rows.codes);
   if (X && Y) drawOver(root, X, Y);
 }
 

@@ -157,10 +157,9 @@ function drawMap(root) {
   const canvas = root.querySelector(".map-cells");
   const { context, width, height } = paper(canvas);
   const plane = given.planes[0];
-  const [whole0, whole1] = plane ? plane.axes.map((axis) => here(axis.url)) : [];
-  if (!whole0 || !whole1 || !width) return;
-  const [X, Y] = [whole0, whole1].map((codes) => codes.subarray(rows.first, rows.first + rows.count));
-  if (root.viewOf !== plane.key) [root.view, root.viewOf] = [wholeView(whole0, whole1), plane.key];
+  const [X, Y] = plane?.axes.map(rows.codes) ?? [];
+  if (!X || !Y || !width) return;
+  if (root.viewOf !== plane.key) [root.view, root.viewOf] = [wholeView(...plane.axes.map(({ url }) => here(url))), plane.key];
   const { view } = root;
   const look = colouring(root);
   const cells = cellsOf(rows, X, Y, view, width, height, look.by);
