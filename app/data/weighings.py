@@ -18,7 +18,6 @@ from tom.data.card import sentence
 from tom.data.sampling import bin_means
 from tom.data.unpack import DAMAGE, read_arrays
 from tom.envs import is_code
-from tom.errors import UserError
 from tom.record.decode import read_table
 from tom.record.files import modified
 from tom.record.reader import RunReader
@@ -80,14 +79,6 @@ def datasets(store: str) -> tuple[Dataset, ...]:
     kept.sort(key=lambda one: modified(one[0] / REPORT))
     newest = {_dataset_id(report): Dataset(path, report) for path, report in kept}
     return tuple(reversed(newest.values()))
-
-
-def dataset(store: str, name: str) -> Dataset:
-    """The data set `name`. Raises UserError if there is none."""
-    for one in datasets(store):
-        if one.run_id == name:
-            return one
-    raise UserError(f"no data set '{name}' was weighed in {store}/")
 
 
 def _dataset_id(report: Mapping[str, Any]) -> str:

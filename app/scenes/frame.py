@@ -18,7 +18,6 @@ from trimesh.visual.material import PBRMaterial
 
 from app.scenes.control import Clock, Selection
 from app.theme import ACCENT, BACKGROUND, TEXT, Mode, rgb
-from tom.record.store import Store
 
 Vector = tuple[float, float, float]
 
@@ -48,12 +47,11 @@ class Frame:
     """brightness of the front light"""
     shadows = False
     """shadows halve the frame rate on a slow machine"""
+    folded = True
+    """whether the panel is closed at first, because it would cover the scene"""
 
-    def __init__(
-        self, client: viser.ClientHandle, store: str, mode: Mode, *, compact: bool = False
-    ) -> None:
+    def __init__(self, client: viser.ClientHandle, mode: Mode) -> None:
         self.client = client
-        self.store = Store(store)
         self.mode: Mode = mode
         self._drawn: Any = None
         """what the scene shows; None if it must be drawn anew"""
@@ -62,7 +60,7 @@ class Frame:
         self._apply_theme()
         client.gui.set_panel_label(self.title)
         self._build_panel()
-        if compact:
+        if self.folded:
             client.gui.main_panel.minimize()
 
     def show(self, selection: Selection, *, obey: bool = False) -> None:

@@ -265,6 +265,7 @@ class RoadFrame(Frame):
     """Shows fits of road-and-rocks runs side by side."""
 
     title = "Road and rocks"
+    folded = False
 
     def _build_panel(self) -> None:
         self._runs: list[RunReader] = []
@@ -284,7 +285,7 @@ class RoadFrame(Frame):
             layer.on_update(lambda _: self._apply_layers())
 
     def _show(self, choice: RoadChoice, *, obey: bool) -> None:
-        self._runs = [self.store.run(name) for name in choice.runs]
+        self._runs = [RunReader(folder) for folder in choice.runs]
         self._steps = sorted({step for run in self._runs for step in road.steps(run)})
         self._chosen = choice.step
         self._show_step(choice.step)

@@ -3,18 +3,17 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from app.data import buffer, weighings
+from app.data import buffer
 from app.data.buffer import WINDOW, poses, windows
 from app.scenes import solids
 from app.scenes.control import SPEEDS, StatesChoice
 from app.scenes.frame import Frame, add_text, floor
-from app.scenes.solids import Colour, Robot, Solids
+from app.scenes.solids import Robot, Solids
 from app.theme import Mode
 from tom import readable
 from tom.envs.scene import Model
 from tom.errors import UserError
 from tom.record.reader import RunReader
-from tom.record.store import Store
 from tom.record.task_record import scene_of, task_of
 
 ROBOTS_IN_LINE = 3
@@ -49,7 +48,7 @@ class StatesFrame(Frame):
     def _show(self, choice: StatesChoice, *, obey: bool) -> None:
         if choice == self._drawn:
             return
-        run = find_run(str(self.store.path), choice.run)
+        run = RunReader(choice.run)
         model = scene_of(run)
         if model is None:
             raise UserError(f"nothing to draw of {run.env}: its states are curves on the page")
@@ -78,7 +77,7 @@ class StatesFrame(Frame):
         self._drawn = choice
 
     def _group(
-        self, words: str, robots: Solids, colours: list[Colour], side: int, size: NDArray
+        self, words: str, robots: Solids, colours: NDArray[np.uint8], side: int, size: NDArray
     ) -> tuple[Robot, NDArray]:
         """The robots of a side, -1 for the left and 1 for the right, and their places (R, 1, 3).
 
@@ -107,17 +106,9 @@ class StatesFrame(Frame):
                 robot.pose(at, place)
 
 
-def find_run(store: str, name: str) -> RunReader:
-    """The run or data set `name`. Raises UserError if there is none."""
-    try:
-        return Store(store).run(name)
-    except UserError:
-        return weighings.dataset(store, name)
-
-
 def _groups(
     run: RunReader, choice: StatesChoice, model: Model, mode: Mode
-) -> list[tuple[str, Solids, list[Colour]]]:
+) -> list[tuple[str, Solids, NDArray[np.uint8]]]:
     """The title, the robots and their colours of each group that has rows."""
     recorded, _, state, _ = buffer.recorded_with_states(run)
     ended = recorded.ended()
@@ -131,9 +122,7 @@ def _groups(
                 "< 0.001" if 0 < weight < 0.001 else readable.short(weight)
                 for weight in (min(weights), max(weights))
             )
-            tints = solids.weight_colours(np.array(weights, np.float64), mode)
-            colours = [(int(r), int(g), int(b)) for r, g, b in tints]
-            groups.append(
-                (f"{words}: weight {' to '.join(ends)}", solids.robot_solids(model, qpos), colours)
-            )
+            colours = solids.weight_colours(np.array(weights, np.float64), mode)
+            title = f"{words}: weight {' to '.join(ends)}"
+            groups.append((title, solids.robot_solids(model, qpos), colours))
     return groups

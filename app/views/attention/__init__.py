@@ -310,7 +310,7 @@ def _road(scope: Scope, run: RunReader, step: int) -> None:
         return
     _road_numbers(run)
     runs = [run, *(others[run_id] for run_id in beside)]
-    choice = RoadChoice(tuple(each.run_id for each in runs), step)
+    choice = RoadChoice(tuple(str(each.path) for each in runs), step)
     names = distinct_names(runs)
     if len(runs) > 1:
         widgets.show_scene(choice, ROAD_HEIGHT)

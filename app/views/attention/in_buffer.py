@@ -252,7 +252,7 @@ def _scenes(
         for title, side in zip(titles, (left, right), strict=True)
     )
     if buffer.has_robot(run):
-        widgets.show_scene(StatesChoice(run.run_id, groups), STAGE_HEIGHT, compact=True)
+        widgets.show_scene(StatesChoice(str(run.home), groups), STAGE_HEIGHT)
         st.caption("Click the panel's title to open it and play the moments.")
         return
     heavy, light = (buffer.observations_around(run, numbers) for _, numbers, _ in groups)

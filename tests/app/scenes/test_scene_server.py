@@ -22,6 +22,7 @@ from websockets.typing import Subprotocol
 
 from app.data.buffer import WINDOW
 from app.links import Links
+from app.scenes import server
 from app.scenes.control import (
     Clock,
     Command,
@@ -37,6 +38,7 @@ from app.scenes.replay import ReplayFrame
 from app.scenes.road import PLAY_S, RoadFrame
 from app.scenes.server import SceneServer
 from app.scenes.states import StatesFrame
+from app.theme import Mode
 from tom.record.reader import RunReader
 
 CAMERA = _messages.ViewerCameraMessage(
@@ -54,8 +56,8 @@ PAGE = "page"
 
 
 @pytest.fixture
-def served(store: Path, tmp_path: Path) -> Iterator[SceneServer]:
-    made = SceneServer(Links(store=str(store), folder=str(tmp_path)))
+def served(tmp_path: Path) -> Iterator[SceneServer]:
+    made = SceneServer(Links(folder=str(tmp_path)))
     yield made
     made.server.stop()
 
@@ -79,13 +81,16 @@ def only_frame(served: SceneServer, kind: type[Frame] = ReplayFrame) -> Any:
     return frames[0] if len(frames) == 1 and isinstance(frames[0], kind) else None
 
 
-def asked(times: int) -> Selection:
-    return Selection(ReplayChoice(PENDULUM_TOM, 400, 0, 0, 25, times, "start"), compact=True)
+def asked(run: Path, times: int) -> Selection:
+    return Selection(ReplayChoice(str(run), 400, 0, 0, 25, times, "start"))
 
 
-def test_what_was_to_play_before_its_frame_connected_plays_then(served: SceneServer) -> None:
-    served.select(PAGE, asked(0))
-    served.select(PAGE, asked(1))
+def test_what_was_to_play_before_its_frame_connected_plays_then(
+    served: SceneServer, store: Path
+) -> None:
+    run = store / PENDULUM_TOM
+    served.select(PAGE, asked(run, 0))
+    served.select(PAGE, asked(run, 1))
     with frame_of_a_page(served):
         wait_for(lambda: (frame := only_frame(served)) is not None and frame.playing)
     wait_for(lambda: not served.frames)
@@ -95,13 +100,17 @@ def test_what_was_to_play_before_its_frame_connected_plays_then(served: SceneSer
         assert frame is not None
         frame.tick(0.0)  # waits until the frame has shown everything
         assert not frame.playing
-        served.select(PAGE, asked(2))
+        served.select(PAGE, asked(run, 2))
         assert frame.playing
 
 
-def test_a_page_plays_pauses_and_asks_where_its_episode_is(served: SceneServer) -> None:
+def test_a_page_plays_pauses_and_asks_where_its_episode_is(
+    served: SceneServer, store: Path
+) -> None:
+    run = str(store / PENDULUM_TOM)
+
     def wish(asked: int, wish: Command, frame: int) -> Selection:
-        return Selection(ReplayChoice(PENDULUM_TOM, 400, 0, frame, 25, request=asked, command=wish))
+        return Selection(ReplayChoice(run, 400, 0, frame, 25, request=asked, command=wish))
 
     assert served.clock(PAGE) is None
     served.select(PAGE, wish(0, "go", 3))
@@ -118,10 +127,10 @@ def test_a_page_plays_pauses_and_asks_where_its_episode_is(served: SceneServer) 
 
 @pytest.mark.parametrize("aspect", [1, 1.5, 4])
 def test_a_frame_of_any_width_has_all_robots_in_its_picture(
-    served: SceneServer, aspect: float
+    served: SceneServer, store: Path, aspect: float
 ) -> None:
     group = tuple(range(0, 180, 20)), (1.0,) * 9
-    choice = StatesChoice(PENDULUM_TOM, (("heaviest", *group), ("lightest", *group)))
+    choice = StatesChoice(str(store / PENDULUM_TOM), (("heaviest", *group), ("lightest", *group)))
     served.select(PAGE, Selection(choice))
     with frame_of_a_page(served, aspect):
         wait_for(lambda: (frame := only_frame(served, StatesFrame)) and frame._drawn)
@@ -141,7 +150,7 @@ def test_after_the_fits_have_played_the_timelines_is_shown(
     served: SceneServer, store: Path
 ) -> None:
     first, last = RunReader(store / ROAD_TOM).snapshot_steps()[-2:]
-    served.select(PAGE, Selection(RoadChoice((ROAD_TOM,), first)))
+    served.select(PAGE, Selection(RoadChoice((str(store / ROAD_TOM),), first)))
     with frame_of_a_page(served):
         wait_for(lambda: (frame := only_frame(served, RoadFrame)) and frame._drawn)
         frame = present(only_frame(served, RoadFrame))
@@ -165,15 +174,15 @@ def test_a_page_asks_over_its_socket(tmp_path: Path) -> None:
 def test_a_tab_left_while_its_frame_is_built_leaves_none(
     served: SceneServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    build, find, built, found = served._frame, served._frame_of, threading.Event(), []
+    find, built, found = served._frame_of, threading.Event(), []
 
-    def slow(client: viser.ClientHandle, selection: Selection) -> Frame:
-        frame = build(client, selection)
+    def slow(client: viser.ClientHandle, mode: Mode) -> Frame:
+        frame = RoadFrame(client, mode)
         built.set()
         wait_for(lambda: not served.server.get_clients())
         return frame
 
-    monkeypatch.setattr(served, "_frame", slow)
+    monkeypatch.setattr(server, "frame_class", lambda _: slow)
     monkeypatch.setattr(served, "_frame_of", lambda *of: found.append(find(*of)) or found[-1])
     with frame_of_a_page(served):
         assert built.wait(60)

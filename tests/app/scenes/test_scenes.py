@@ -141,7 +141,7 @@ def test_a_page_reaches_the_scene_server_and_messages_that_fail_do_not_end_it(
         ReplayChoice("a", 1, 2, 3, 4, command="play"),
         StatesChoice("a", (("heaviest", (1, 2), (2.5, 3.0)), ("lightest", (), ()))),
     )
-    wanted = [("page", Selection(choice, "dark", compact=True)) for choice in choices]
+    wanted = [("page", Selection(choice, "dark")) for choice in choices]
     for page, selection in wanted:
         send_selection(path, page, selection)
     assert [heard.get(timeout=10) for _ in wanted] == wanted
