@@ -17,7 +17,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from app.router import VIEWS
-from app.scenes.film import cinema, story
+from app.scenes.film import SECONDS, cinema, story
 from app.servers.browser import CHARTS_DRAWN, chromium
 from app.servers.cinema import film_tab, video
 from tom.machine import processes
@@ -31,7 +31,7 @@ FRESH_MB, USED_MB, CHANGES = 800.0, 1000.0, 200
 IDLE_S, IDLE_PERCENT = 20.0, 2.0
 FRAMES_A_SECOND = 30.0
 FILM_S = 60.0
-"""length of the film, and the seconds that it may take"""
+"""seconds that a film of SECONDS may take"""
 READERS = 4
 STOP_S = 5.0
 DRAWN_S = {40_000: 0.5, 300_000: 1.0, 1_000_000: 3.0}
@@ -117,7 +117,7 @@ class Measured:
         return self.value >= self.target if self.at_least else self.value <= self.target
 
 
-def measure(store: Path, played: str, changes: int = CHANGES) -> Iterator[Measured]:
+def measure(store: Path, played: str) -> Iterator[Measured]:
     """Start a studio of `store`, turn its pages, leave them alone, play the fits of a run, film it.
 
     Raises UserError if there is no browser, RuntimeError if the studio does not start.
@@ -155,13 +155,13 @@ def measure(store: Path, played: str, changes: int = CHANGES) -> Iterator[Measur
             yield Measured(f"{view.TITLE}, {READERS} browsers", each, "CPU s a page", FOUR_CPU_S)
         for tab in tabs[1:]:
             tab.close()
-        for i in range(changes):
+        for i in range(CHANGES):
             _open_page(page, VIEWS[i % len(VIEWS)].TITLE)
-        yield Measured(f"memory, {changes} pages on", memory_mb(pid), "MB", USED_MB)
+        yield Measured(f"memory, {CHANGES} pages on", memory_mb(pid), "MB", USED_MB)
     run = Store(store).run(played)
-    with film_tab(cinema(story(run), run.learner, "light", FILM_S)) as tab:
+    with film_tab(cinema(story(run), run.learner, "light")) as tab:
         began = time.monotonic()
-        video(tab, FILM_S)
+        video(tab, SECONDS)
         yield Measured("film of a minute", time.monotonic() - began, "s", FILM_S)
 
 
