@@ -74,7 +74,7 @@ function bounds(column, [low, high]) {
     const within = (low === null || low <= column.low) && (high === null || column.low <= high);
     return within ? [0, UNKNOWN] : [1, 0];
   }
-  const span = column.high - column.low || 1;
+  const span = column.high - column.low;
   const first = low === null ? 0 : Math.ceil(((low - column.low) / span) * TOP - 1e-6);
   const last = high === null ? TOP : Math.floor(((high - column.low) / span) * TOP + 1e-6);
   return [Math.max(first, 0), Math.min(last, TOP)];

@@ -306,7 +306,9 @@ def row_table(run: RunReader, rows: Rows, index: np.ndarray) -> pd.DataFrame:
         "episode": rows.episode[index],
         "step of the episode": rows.episode_step[index] + 1,
         "return of the episode": rows.episode_return[index],
-        "policy version": rows.version[index] if rows.policies_known else "not known",
+        "policy version": rows.version[index]
+        if buffer.policies_known(rows.version)
+        else "not known",
         "reward": part.reward,
         "terminal": np.asarray(part.terminated) != 0,
     }
