@@ -174,17 +174,22 @@ function wireHistogram(root, figure) {
     const { left, width } = canvas.getBoundingClientRect();
     return Math.min(Math.max((event.clientX - left) / width, 0), 1);
   };
-  const interval = (a, b) => {
-    const [low, high] = [Math.min(a, b), Math.max(a, b)];
-    return [low <= 0.004 ? null : rounded(atShare(column(), low)), high >= 0.996 ? null : rounded(atShare(column(), high))];
+  const clear = () => choose(root, brushed(root, column().name, null));
+  // Choose the rows between two shares of the axis; all of it is no brush.
+  const brushTo = (...shares) => {
+    const [from, to] = shares.map((share) => Math.min(Math.max(share, 0), 1)).sort((a, b) => a - b);
+    const interval = [from <= 0.004 ? null : rounded(atShare(column(), from)), to >= 0.996 ? null : rounded(atShare(column(), to))];
+    const some = interval.some((end) => end !== null);
+    choose(root, brushed(root, column().name, some ? interval : null), { rest: REST_MS });
   };
+  const endsOf = (brush) => brush.map((value, i) => (value === null ? i : shareOf(column(), value)));
   let from = null;
   let whole = null; // the brush that is moved, in shares
   canvas.onpointerdown = (event) => {
     canvas.setPointerCapture(event.pointerId);
     const share = shareAt(event);
     const brush = root.selection.intervals[column().name];
-    const ends = brush && brush.map((value, i) => (value === null ? i : shareOf(column(), value)));
+    const ends = brush && endsOf(brush);
     const grip = 6 / canvas.clientWidth;
     whole = null;
     if (ends && Math.abs(share - ends[0]) < grip) from = ends[1];
@@ -198,24 +203,20 @@ function wireHistogram(root, figure) {
     const share = shareAt(event);
     const ends = whole ? whole.map((end) => end + share - from) : [from, share];
     if (Math.abs(share - from) * canvas.clientWidth < 2) return;
-    const next = interval(Math.max(ends[0], 0), Math.min(ends[1], 1));
-    choose(root, brushed(root, column().name, next[0] === null && next[1] === null ? null : next), { rest: REST_MS });
+    brushTo(...ends);
   };
   canvas.onpointerup = (event) => {
     const clicked = from !== null && Math.abs(shareAt(event) - from) * canvas.clientWidth < 2;
     from = null;
-    if (clicked && root.selection.intervals[column().name]) choose(root, brushed(root, column().name, null));
+    if (clicked && root.selection.intervals[column().name]) clear();
   };
   canvas.onkeydown = (event) => {
     const by = { ArrowLeft: -0.02, ArrowRight: 0.02 }[event.key];
-    if (event.key === "Escape" || event.key === "Delete") return choose(root, brushed(root, column().name, null));
+    if (event.key === "Escape" || event.key === "Delete") return clear();
     if (!by) return undefined;
     event.preventDefault();
-    const brush = root.selection.intervals[column().name] ?? [null, null];
-    const ends = brush.map((value, i) => (value === null ? i : shareOf(column(), value)));
-    const moved = event.shiftKey ? [ends[0], ends[1] + by] : [ends[0] + by, ends[1]];
-    const next = interval(Math.min(Math.max(moved[0], 0), 1), Math.min(Math.max(moved[1], 0), 1));
-    return choose(root, brushed(root, column().name, next[0] === null && next[1] === null ? null : next), { rest: REST_MS });
+    const [low, high] = endsOf(root.selection.intervals[column().name] ?? [null, null]);
+    return event.shiftKey ? brushTo(low, high + by) : brushTo(low + by, high);
   };
 }
 
