@@ -7,7 +7,7 @@ import numpy as np
 import streamlit as st
 
 from app import session, text
-from app.data import buffer, readers, road, weighings
+from app.data import readers, road, weighings
 from app.data.answer import newest_share
 from app.data.cache import get_or_make
 from app.data.exams import at_fit
@@ -276,7 +276,7 @@ def _links(run: RunReader, step: int) -> None:
     def open_learners() -> None:
         state = st.session_state
         state["part"], state["run"], state["at"] = LEARNERS_ON_IT, [run.run_id], kept[-1]
-        for one in weighings.all_of_run(run, buffer.length(run)):
+        for one in weighings.all_of_run(run):
             if one.step == kept[-1]:
                 state["weighed"] = one.name
                 break

@@ -55,7 +55,7 @@ def test_rows_that_were_weighed_twice_are_one_data_set(weighed: Path):
     assert [one.run_id.rpartition("-")[0] for one in found] == ["my buffer", "other"]
     assert [Path(one.path).name for one in found] == ["second", "third"]
     assert RunReader(found[0].home).buffer_length() == N  # as the 3D scene reads it
-    assert {one.name for one in weighings.of_run(found[0], N)} == {"first", "second"}
+    assert {one.name for one in weighings.of_run(found[0])} == {"first", "second"}
 
 
 def test_each_learners_weights_of_the_data_are_shown(weighed: Path):
@@ -77,7 +77,7 @@ def test_the_command_on_the_page_weighs_the_same_rows_again(
     words = shlex.split(next(code.value for code in app.code if "/weighings/" in code.value))
     monkeypatch.chdir(tmp_path)  # where no file of the user's lies
     assert main([*words[1:], "--footprint", "50", "--out", "again"]) == 0
-    found = weighings.of_run(weighings.datasets(str(weighed))[0], N)
+    found = weighings.of_run(weighings.datasets(str(weighed))[0])
     (before,) = (one.path for one in found if one.name == "first")
     old, new = read_json(before / "report.json"), read_json(tmp_path / "again" / "report.json")
     same = ("data", "rows_digest", "env", "policy", "preset", "rows")

@@ -304,7 +304,7 @@ def of_fit(run: RunReader, fit: int = FIT) -> tuple[Rows, why.Why]:
 def asked(run: RunReader, fit: int = FIT) -> tuple[Rows, why.Why | str]:
     source = buffer_map.sources(run)[str(fit)]
     rows = present(buffer.weighed_rows(run, source.weight, source.end))
-    return rows, why.why_of(run, rows, source)
+    return rows, why.why_of(run, source)
 
 
 def test_a_kept_fit_has_the_terms_of_its_weights(store: Path) -> None:
@@ -318,7 +318,7 @@ def test_a_weighing_has_the_terms_of_its_weights(weighed: Path) -> None:
     run = info(weighed, PENDULUM_TOM)
     (source,) = buffer_map.weighing_sources(run).values()
     rows = present(buffer.weighed_rows(run, source.weight, source.end))
-    found = why.why_of(run, rows, source)
+    found = why.why_of(run, source)
     assert isinstance(found, why.Why)
     for row in range(0, len(rows), 17):
         assert found.sum_of(row).weight == pytest.approx(source.weight[row], abs=1e-5)
