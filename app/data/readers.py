@@ -85,6 +85,11 @@ def trashed(store: Path | str) -> list[str]:
         return []
 
 
+def folder_reader(folder: str) -> RunReader:
+    """The run in a folder, or the data set."""
+    return RunReader(folder)
+
+
 def loop_reader(run: RunReader) -> RunReader:
     """The run itself: of live weights that of the loop, whose returns and policies these are."""
     return RunReader(run.home)

@@ -4,6 +4,7 @@ import numpy as np
 import viser
 
 from app.data import replays
+from app.data.readers import folder_reader
 from app.data.replays import Replay
 from app.scenes import solids
 from app.scenes.control import REAL_TIME, SPEEDS, Clock, ReplayChoice
@@ -13,7 +14,6 @@ from app.scenes.solids import Robot, Solids
 from app.theme import REAL, learner_colour, rgb
 from tom.envs import ENVS
 from tom.errors import UserError
-from tom.record.reader import RunReader
 
 GHOST_OPACITY = 0.45
 GHOST_OFFSET = np.array([0.0, -0.03, 0.0])
@@ -39,7 +39,7 @@ class ReplayFrame(Frame):
         self.on_scrub(self.frame, self._pose)
 
     def _show(self, choice: ReplayChoice, *, obey: bool) -> None:
-        run = RunReader(choice.run)
+        run = folder_reader(choice.run)
         replay = replays.load(run, choice.step, choice.episode, choice.horizon)
         if replay is None:
             raise UserError(f"episode {choice.episode + 1} of step {choice.step} cannot be read")

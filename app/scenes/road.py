@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from trimesh import PointCloud, creation
 
 from app.data import road
+from app.data.readers import folder_reader
 from app.data.road import CELLS, CENTRES, Picture, RoadShape, circle, on_road, outline
 from app.data.run_names import distinct_names
 from app.figures.base import OCTAVES
@@ -285,7 +286,7 @@ class RoadFrame(Frame):
             layer.on_update(lambda _: self._apply_layers())
 
     def _show(self, choice: RoadChoice, *, obey: bool) -> None:
-        self._runs = [RunReader(folder) for folder in choice.runs]
+        self._runs = [folder_reader(folder) for folder in choice.runs]
         self._steps = sorted({step for run in self._runs for step in road.steps(run)})
         self._chosen = choice.step
         self._show_step(choice.step)

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from app.data import buffer
 from app.data.buffer import WINDOW, poses, windows
+from app.data.readers import folder_reader
 from app.scenes import solids
 from app.scenes.control import SPEEDS, StatesChoice
 from app.scenes.frame import Frame, add_text, floor
@@ -48,7 +49,7 @@ class StatesFrame(Frame):
     def _show(self, choice: StatesChoice, *, obey: bool) -> None:
         if choice == self._drawn:
             return
-        run = RunReader(choice.run)
+        run = folder_reader(choice.run)
         model = scene_of(run)
         if model is None:
             raise UserError(f"nothing to draw of {run.env}: its states are curves on the page")
