@@ -9,7 +9,7 @@ import streamlit as st
 from app import session, text
 from app.data import readers, road, weighings
 from app.data.answer import newest_share
-from app.data.cache import get_or_make
+from app.data.cache import cached
 from app.data.exams import at_fit
 from app.data.run_names import distinct_names, full_names
 from app.data.weighings import Dataset
@@ -20,7 +20,7 @@ from app.parts.map import SELECTOR
 from app.parts.plot import FigureJson, Follow, Point, chart
 from app.parts.scope import Scope
 from app.scenes.control import RoadChoice
-from app.theme import learner_label
+from app.theme import Mode, learner_label
 from app.views.attention import in_buffer, learners
 from tom.analysis.curves import curve_points
 from tom.envs import ROAD
@@ -234,14 +234,8 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
     left, right = st.columns([3, 2])
     with left, st.container(border=True, height="stretch"):
         st.markdown("**Every fit**: weight by age, newest on top, and the returns")
-        mode, loop = session.mode(), readers.loop_reader(run)
-
-        def map_figure() -> FigureJson:
-            returns = widgets.curve(loop, "eval/return")
-            return FigureJson.of(over_fits([("", returns, profiles)], mode, HEIGHT))
-
-        version = run.version("profiles"), loop.version("metrics")
-        figure = get_or_make(("weight map", run.path, mode), version, map_figure)
+        loop = readers.folder_reader(run.home)  # of live weights: whose returns these are
+        figure = _every_fit(run, loop, session.mode())
         label = "weight of each part of the buffer at every fit, and the returns below"
         to_fit = partial(_go_to, fits)
         chart(figure, "weight map", label, to_fit, follow=Follow(cursor=True), after=SELECTOR)
@@ -249,19 +243,25 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
             st.caption(f"An example keeps {FITS} fits at most, spread over the run.")
     with right, st.container(border=True, height="stretch"):
         st.markdown("**This fit**; dashed: every transition counts the same")
-
-        def profile_figure() -> FigureJson:
-            top = float(np.nanmax(profiles.bins))  # of all fits, so that the axis stands still
-            bins = profiles.bins[fits.index(fit)]
-            figure = weight_profile(bins, run.learner, HEIGHT, top=top, keep=run.run_id)
-            return FigureJson.of(figure)
-
-        figure = get_or_make(("profile", run.path, fit), run.version("profiles"), profile_figure)
         finite = np.maximum(np.nan_to_num(profiles.bins), FLOOR)  # JSON has no NaN
         rounded = np.where(finite < 1, finite.round(4), finite.round(2)).tolist()
         follow = Follow(trace={at: {"y": y} for at, y in zip(fits, rounded, strict=True)})
         label = "mean weight, oldest to newest transitions"
-        chart(figure, "profile", label, follow=follow, after=SELECTOR)
+        chart(_one_fit(run, fit), "profile", label, follow=follow, after=SELECTOR)
+
+
+@cached("profiles", "metrics")
+def _every_fit(run: RunReader, loop: RunReader, mode: Mode) -> FigureJson:
+    returns = widgets.curve(loop, "eval/return")
+    return FigureJson.of(over_fits([("", returns, readers.profiles(run))], mode, HEIGHT))
+
+
+@cached("profiles")
+def _one_fit(run: RunReader, fit: int) -> FigureJson:
+    profiles = readers.profiles(run)
+    top = float(np.nanmax(profiles.bins))  # of all fits, so that the axis stands still
+    bins = profiles.bins[profiles.env_step.tolist().index(fit)]
+    return FigureJson.of(weight_profile(bins, run.learner, HEIGHT, top=top, keep=run.run_id))
 
 
 def _go_to(fits: list[int], point: Point) -> None:
