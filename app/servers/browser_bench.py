@@ -24,7 +24,7 @@ from tom.machine import processes
 from tom.record.store import Store
 
 if TYPE_CHECKING:
-    from playwright.sync_api import BrowserContext, Page, ViewportSize
+    from playwright.sync_api import Page, ViewportSize
 
 FIRST_S, PAGE_S, FOUR_CPU_S = 6.0, 2.0, 0.3
 FRESH_MB, USED_MB, CHANGES = 800.0, 1000.0, 200
@@ -124,7 +124,9 @@ def measure(store: Path, played: str) -> Iterator[Measured]:
     """
     with chromium() as browser, _studio(store) as (began, pid, address):
         contexts = [browser.new_context(base_url=address) for _ in range(READERS)]
-        page = _tab(contexts[0])
+        for context in contexts:
+            context.set_default_timeout(TIMEOUT_MS)
+        page = contexts[0].new_page()
         page.goto(address)
         _wait(page, VIEWS[0].TITLE)
         yield Measured("start to first useful page", time.monotonic() - began, "s", FIRST_S)
@@ -143,7 +145,7 @@ def measure(store: Path, played: str) -> Iterator[Measured]:
         page.wait_for_timeout(SETTLE_MS)
         drawn = float(page.evaluate(COUNT_FRAMES))
         yield Measured("fits that play", drawn, "frames/s", FRAMES_A_SECOND, at_least=True)
-        tabs = [page, *(_tab(context) for context in contexts[1:])]
+        tabs = [page, *(context.new_page() for context in contexts[1:])]
         for view in VIEWS:
             before = processor_s(pid)
             for tab in tabs:
@@ -173,9 +175,10 @@ def measure_map(store: Path, runs: Mapping[int, str]) -> Iterator[Measured]:
     with chromium() as browser, _studio(store) as (_, _, address):
         viewport: ViewportSize = {"width": 1280, "height": 900}
         context = browser.new_context(viewport=viewport, base_url=address)
+        context.set_default_timeout(TIMEOUT_MS)
         for rows, run in runs.items():
             for turn in ("first", "again"):
-                page = _tab(context)
+                page = context.new_page()
                 page.goto(f"/findings?run={run}")
                 page.locator(".runlist .section").first.wait_for()
                 page.wait_for_timeout(SETTLE_MS)
@@ -190,12 +193,6 @@ def measure_map(store: Path, runs: Mapping[int, str]) -> Iterator[Measured]:
             yield Measured(f"{rows:,} rows: timeline step", step, "s", STEPPED_S.get(rows))
             memory = _script_mb(page)
             yield Measured(f"{rows:,} rows: page memory", memory, "MB", MEMORY_MB.get(rows))
-
-
-def _tab(context: "BrowserContext") -> "Page":
-    page = context.new_page()
-    page.set_default_timeout(TIMEOUT_MS)
-    return page
 
 
 def _open_page(page: "Page", title: str) -> float:

@@ -165,7 +165,7 @@ def with_port_and_key(requested: Links, folder: str) -> Links:
     """
     try:
         port = _port(requested.host, requested.port)
-    except (OSError, OverflowError) as error:
+    except OSError as error:
         raise UserError(
             f"cannot listen on --host {requested.host}: {error}; use 127.0.0.1 or an address of "
             "this machine"
