@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import pytest
 import viser
 from common import present
 from kernel import wait_for
-from studio_pages import answers
+from studio_pages import hear
 from studio_runs import PENDULUM_TOM, ROAD_TOM
 from viser import _messages
 from viser.transforms import SO3
@@ -31,7 +30,6 @@ from app.scenes.control import (
     Selection,
     StatesChoice,
     clock,
-    listen,
 )
 from app.scenes.frame import Frame
 from app.scenes.replay import ReplayFrame
@@ -163,8 +161,7 @@ def test_after_the_fits_have_played_the_timelines_is_shown(
 
 def test_a_page_asks_over_its_socket(tmp_path: Path) -> None:
     path, told = str(tmp_path / "control"), {"page": Clock(7, playing=True, request=4)}
-    threading.Thread(target=listen, args=(path, print, told.get), daemon=True).start()
-    wait_for(partial(answers, path))
+    hear(path, print, told.get)
     assert clock(path, "page") == told["page"]
     assert clock(path, "another") is None
     with pytest.raises(FileNotFoundError):
