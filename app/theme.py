@@ -5,7 +5,7 @@ from functools import cache
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tom.config import OWN_LOOP, SAC_ALONE
 from tom.learners import LEARNERS
@@ -128,13 +128,11 @@ def shades(colour: str) -> list[str]:
 
 def contrast(first: str, second: str) -> float:
     """The contrast of two colours, from 1 to 21 (WCAG 2)."""
-    low, high = np.sort(
-        linear_light(np.array([rgb(first), rgb(second)])) @ (0.2126, 0.7152, 0.0722)
-    )
+    low, high = np.sort(linear_light([rgb(first), rgb(second)]) @ (0.2126, 0.7152, 0.0722))
     return float((high + 0.05) / (low + 0.05))
 
 
-def linear_light(colours: NDArray) -> NDArray[np.float64]:
+def linear_light(colours: ArrayLike) -> NDArray[np.float64]:
     """sRGB colours, 0 to 255, as intensities of light, 0 to 1 (IEC 61966-2-1)."""
     share = np.asarray(colours, np.float64) / 255
     return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)

@@ -46,10 +46,10 @@ class Rows:
     def __len__(self) -> int:
         return len(self.weight)
 
-    @property
-    def policies_known(self) -> bool:
-        """Whether the policy of each row is known; else each has a version of its own."""
-        return len(np.unique(self.version)) < max(len(self), 2)
+
+def policies_known(version: NDArray[np.int64]) -> bool:
+    """Whether it is known which policies collected N rows; else each has a version of its own."""
+    return len(np.unique(version)) < max(len(version), 2)
 
 
 def heavy_and_light(

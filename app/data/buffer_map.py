@@ -82,7 +82,7 @@ def _fit_source(run: RunReader, step: int, length: int) -> Source | None:
 def weighing_sources(run: RunReader) -> dict[str, Source]:
     """What `tom weigh` and brushes made of a run's buffer, by label: the newest."""
     length = buffer.length(run)
-    made, brushes = (weighings.of_run(run, length, brush=brush) for brush in (False, True))
+    made, brushes = (weighings.of_run(run, brush=brush) for brush in (False, True))
     return {
         label: Source(
             label,

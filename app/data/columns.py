@@ -74,10 +74,13 @@ def rank_codes(codes: Codes) -> Codes:
 
 def bounds(column: Column, low: float | None, high: float | None) -> tuple[int, int]:
     """The codes from the first to the last of an interval; None is an open end."""
-    if column.name == "weight":
+    if column.name == WEIGHT.name:
         first = 0 if low is None else _weight_code(low, up=True)
         return first, TOP if high is None else _weight_code(high, up=False)
-    span = column.high - column.low or 1.0
+    span = column.high - column.low
+    if span <= 0:  # a constant
+        within = (low is None or low <= column.low) and (high is None or column.low <= high)
+        return (0, UNKNOWN) if within else (1, 0)
     first = 0 if low is None else int(np.ceil((low - column.low) / span * TOP - 1e-6))
     last = TOP if high is None else int(np.floor((high - column.low) / span * TOP + 1e-6))
     return max(first, 0), min(last, TOP)
@@ -134,8 +137,7 @@ def recorded(run: RunReader) -> tuple[Column, ...]:
     rows = buffer.recorded(run).rows.numpy()
     names, actions = buffer.obs_and_action_names(run)
     known = [REWARD, RETURN]
-    # Without recorded policies each row has a version of its own.
-    known += [VERSION] if len(np.unique(buffer.recorded(run).version)) < max(len(rows), 2) else []
+    known += [VERSION] if buffer.policies_known(buffer.recorded(run).version) else []
     known += [ERROR] if run.env != ROAD and buffer.has_model(run) else []
     found = []
     for name in [*known, *names, *actions]:

@@ -85,9 +85,9 @@ def trashed(store: Path | str) -> list[str]:
         return []
 
 
-def loop_reader(run: RunReader) -> RunReader:
-    """The run itself: of live weights that of the loop, whose returns and policies these are."""
-    return RunReader(run.home)
+def folder_reader(folder: Path | str) -> RunReader:
+    """The run in a folder, or the data set."""
+    return RunReader(folder)
 
 
 def fresh_reader(run: RunReader) -> RunReader:

@@ -63,11 +63,7 @@ def _outline(text: str) -> Outline | None:
 
 def between(codes: Codes, column: Column, interval: Interval) -> Mask:
     """A mask (N,) of the codes of a quantity in an interval."""
-    low, high = interval
-    if column.name != "weight" and column.high <= column.low:  # a constant
-        within = (low is None or low <= column.low) and (high is None or column.low <= high)
-        return np.full(len(codes), within)
-    first, last = bounds(column, low, high)
+    first, last = bounds(column, *interval)
     return (codes >= first) & (codes <= last)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app import text
-from app.data import readers
+from app.data import buffer, readers
 from app.data.cache import get_or_make
 from app.data.exams import at_fit
 from tom.analysis.progression import medians, progression
@@ -18,7 +18,6 @@ from tom.data.card import sentence
 from tom.data.sampling import bin_means
 from tom.data.unpack import DAMAGE, read_arrays
 from tom.envs import is_code
-from tom.errors import UserError
 from tom.record.decode import read_table
 from tom.record.files import modified
 from tom.record.reader import RunReader
@@ -80,14 +79,6 @@ def datasets(store: str) -> tuple[Dataset, ...]:
     kept.sort(key=lambda one: modified(one[0] / REPORT))
     newest = {_dataset_id(report): Dataset(path, report) for path, report in kept}
     return tuple(reversed(newest.values()))
-
-
-def dataset(store: str, name: str) -> Dataset:
-    """The data set `name`. Raises UserError if there is none."""
-    for one in datasets(store):
-        if one.run_id == name:
-            return one
-    raise UserError(f"no data set '{name}' was weighed in {store}/")
 
 
 def _dataset_id(report: Mapping[str, Any]) -> str:
@@ -232,8 +223,8 @@ def weighed_run_ids(store: str) -> set[str]:
     return {report["data"] for report in found if not weighing_files.is_brush(report)}
 
 
-def of_run(run: RunReader, rows: int, *, brush: bool = False) -> list[Weighing]:
-    """Learners' weighings of the buffer of a run (or data set) of `rows` rows, newest first.
+def of_run(run: RunReader, *, brush: bool = False) -> list[Weighing]:
+    """Learners' weighings of the buffer of a run (or data set), newest first.
 
     Or brushes of it. A resumed run has more rows than were weighed: the weighed ones are the first.
     Weighings of other data are left out.
@@ -247,13 +238,14 @@ def of_run(run: RunReader, rows: int, *, brush: bool = False) -> list[Weighing]:
         and run.run_id == (_dataset_id(report) if of_data else report["data"])
         and weighing_files.is_brush(report) == brush
     ]
-    kept = [one for one in found if 0 <= one.ordered_from < one.rows <= rows]
+    length = buffer.length(run)
+    kept = [one for one in found if 0 <= one.ordered_from < one.rows <= length]
     return sorted(kept, key=lambda one: one.written, reverse=True)
 
 
-def all_of_run(run: RunReader, rows: int) -> list[Weighing]:
+def all_of_run(run: RunReader) -> list[Weighing]:
     """Those of `of_run`; in front of them the live weights of a loop's buffer, if it has any."""
-    return [*(live_weights(run) if run.own_loop else ()), *of_run(run, rows)]
+    return [*(live_weights(run) if run.own_loop else ()), *of_run(run)]
 
 
 def titles(found: Sequence[Weighing]) -> dict[str, str]:

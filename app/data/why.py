@@ -10,7 +10,7 @@ from torch import Tensor
 from app.data import buffer
 from app.data.buffer import Floats, Rows
 from app.data.buffer_map import Source
-from app.data.cache import cached, get_or_make
+from app.data.cache import cached
 from app.data.readers import fresh_reader
 from app.data.weighings import Weighing
 from tom.analysis import why
@@ -50,13 +50,9 @@ class Why:
         return why.sum_of(self.terms, self.config, row)
 
 
-def why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
+@cached("buffer", "pictures")
+def why_of(run: RunReader, source: Source) -> Why | str:
     """The terms of these weights, or a text with the reason why there are none."""
-    version = run.version("buffer"), source.version
-    return get_or_make(("why", run.path, source.label), version, lambda: _why_of(run, rows, source))
-
-
-def _why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
     weighing, learner = source.weighing, source.learner
     if weighing is not None and weighing.is_brush:
         return "no learner made these weights: a brush changed them"
@@ -70,14 +66,14 @@ def _why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
     if terms is not None:
         try:
             context = (
-                _fit_context(run, rows)
+                _fit_context(run, source)
                 if weighing is None
                 else _weighing_context(run, source, weighing)
             )
             return Why(terms, *context)
         except (UserError, OSError, ValueError, KeyError) as error:
             return str(error)
-    if np.ptp(rows.weight) == 0:
+    if np.ptp(source.weight) == 0:
         return f"{LEARNERS[learner].label} did not weigh here: all count the same"
     return (
         "its terms were not kept. Runs trained with this version have them, and so do their small "
@@ -85,20 +81,23 @@ def _why_of(run: RunReader, rows: Rows, source: Source) -> Why | str:
     )
 
 
-def _fit_context(run: RunReader, rows: Rows) -> tuple[TomConfig, str, TensorTransitions, Tensor]:
+def _fit_context(
+    run: RunReader, source: Source
+) -> tuple[TomConfig, str, TensorTransitions, Tensor]:
     """What belongs to the terms of a run's own fit; the policy's rows are the buffer's newest."""
-    config = recorded_config(run)
+    config, count = recorded_config(run), len(source.weight)
     if isinstance(config, OnlineConfig):
-        taken = max(rows.first + len(rows) - config.exploration_steps, 0)
-        newest = min(taken, config.policy_capacity, len(rows))
-        among = torch.arange(len(rows) - newest, len(rows))
+        taken = max(source.end - config.exploration_steps, 0)
+        newest = min(taken, config.policy_capacity, count)
+        among = torch.arange(count - newest, count)
     else:
         shown = fresh_reader(run).field("data", 0).get("footprint")
         if shown is None:
             raise UserError("the run did not keep which of its rows are the policy's")
         among = torch.from_numpy(np.flatnonzero(shown))
     tom: TomConfig = config.tom  # pyright: ignore[reportAttributeAccessIssue]
-    return tom, "the run's own fit", rows.rows.torch()[among], among
+    rows = buffer.recorded(run).rows[source.first : source.end].torch()
+    return tom, "the run's own fit", rows[among], among
 
 
 def _weighing_context(

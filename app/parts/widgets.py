@@ -123,11 +123,10 @@ def redraw_when_changed(state: Callable[[], object], every_s: float) -> None:
     poll()
 
 
-def show_scene(choice: Choice, height: int, part: str = "", *, compact: bool = False) -> None:
+def show_scene(choice: Choice, height: int, part: str = "") -> None:
     """Show `choice` in 3D. A rerun of the page does not reload the frame.
 
-    A page with several frames gives each a different `part`. In a `compact` frame the panel is
-    small and closed at first, because it would cover the scene.
+    A page with several frames gives each a different `part`.
     """
     links = session.links()
     if not links.folder:
@@ -135,9 +134,7 @@ def show_scene(choice: Choice, height: int, part: str = "", *, compact: bool = F
         return
     client = f"{session.client()}{part}"
     try:
-        send_selection(
-            str(links.file("control")), client, Selection(choice, session.mode(), compact)
-        )
+        send_selection(str(links.file("control")), client, Selection(choice, session.mode()))
     except OSError:
         last_line = links.file("scenes.log").read_text(errors="replace").strip().rpartition("\n")[2]
         st.warning(

@@ -1,5 +1,6 @@
 """What a 3D frame shows, and the socket over which pages say so to the viser server.
 
+Runs, and data sets that `tom weigh` keeps, are named by their folders.
 Only this user can open the socket, so its messages are pickled objects of this module.
 """
 
@@ -38,7 +39,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class RoadChoice:
-    """Fits of road-and-rocks runs side by side."""
+    """Road-and-rocks runs side by side, each at its last fit up to `step`."""
 
     runs: tuple[str, ...] = ()
     step: int = -1
@@ -65,7 +66,7 @@ class ReplayChoice:
 
 @dataclass(frozen=True)
 class StatesChoice:
-    """Robots in states of a run's replay buffer: two groups of rows, side by side.
+    """Robots in states of a replay buffer: two groups of rows, side by side.
 
     Each group has a title, the rows' numbers in the run's record, and their weights.
     """
@@ -79,11 +80,10 @@ Choice = RoadChoice | ReplayChoice | StatesChoice
 
 @dataclass(frozen=True)
 class Selection:
-    """The content of one browser frame; in a `compact` one the panel is closed at first."""
+    """The content of one browser frame."""
 
     choice: Choice
     mode: Mode = "light"
-    compact: bool = False
 
 
 def send_selection(socket: str, page: str, selection: Selection) -> None:

@@ -18,7 +18,6 @@ from trimesh.visual.material import PBRMaterial
 
 from app.scenes.control import Clock, Selection
 from app.theme import ACCENT, BACKGROUND, TEXT, Mode, rgb
-from tom.record.store import Store
 
 Vector = tuple[float, float, float]
 
@@ -35,6 +34,8 @@ PIXELS = 32
 """height of the letters in the picture"""
 HALO = 2
 """pixels of the page's background around every letter, for contrast"""
+ASPECT = 16 / 9
+"""width over height of a picture whose frame is not known"""
 
 
 class Frame:
@@ -46,12 +47,11 @@ class Frame:
     """brightness of the front light"""
     shadows = False
     """shadows halve the frame rate on a slow machine"""
+    folded = True
+    """whether the panel is closed at first, because it would cover the scene"""
 
-    def __init__(
-        self, client: viser.ClientHandle, store: str, mode: Mode, *, compact: bool = False
-    ) -> None:
+    def __init__(self, client: viser.ClientHandle, mode: Mode) -> None:
         self.client = client
-        self.store = Store(store)
         self.mode: Mode = mode
         self._drawn: Any = None
         """what the scene shows; None if it must be drawn anew"""
@@ -60,7 +60,7 @@ class Frame:
         self._apply_theme()
         client.gui.set_panel_label(self.title)
         self._build_panel()
-        if compact:
+        if self.folded:
             client.gui.main_panel.minimize()
 
     def show(self, selection: Selection, *, obey: bool = False) -> None:
@@ -91,10 +91,14 @@ class Frame:
         """The state of playback; None if this kind of scene plays nothing."""
         return None
 
-    def set_camera(self, position: Vector, at: Vector) -> None:
-        """Set the user's camera."""
-        self.client.camera.position = position
-        self.client.camera.look_at = at
+    def set_camera(self, position: Vector, at: Vector, corner: Vector | None = None) -> None:
+        """Set the user's camera, so far back that `corner` is in its picture."""
+        camera = self.client.camera
+        if corner is not None:
+            high = camera.image_height  # 0 in a tab that was never in front
+            aspect = camera.image_width / high if high else ASPECT
+            position = stand_back(position, at, corner, camera.fov, aspect)
+        camera.position, camera.look_at = position, at
 
     def clear(self) -> None:
         """Remove everything from the scene except the light and the page's background."""
@@ -134,6 +138,24 @@ class Frame:
 
     def _tick(self, seconds: float) -> None:
         raise NotImplementedError
+
+
+def stand_back(position: Vector, at: Vector, corner: Vector, fov: float, aspect: float) -> Vector:
+    """The position of a camera that looks `at` a point, farther back if `corner` is not in sight.
+
+    Its picture is `fov` radians high and `aspect` times as wide.
+    """
+    back = np.subtract(position, at)
+    away = np.linalg.norm(back)
+    behind = back / away
+    right = np.cross((0.0, 0.0, 1.0), behind)
+    right /= np.linalg.norm(right)
+    across, up, nearer = np.stack([right, np.cross(behind, right), behind]) @ np.subtract(
+        corner, at
+    )
+    needed = nearer + max(abs(across) / aspect, abs(up)) / np.tan(fov / 2)
+    x, y, z = (at + max(away, needed) * behind).tolist()
+    return x, y, z
 
 
 def set_up_lights(scene: viser.SceneApi, mode: Mode, front: float) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import viser
 
 from app.data import replays
+from app.data.readers import folder_reader
 from app.data.replays import Replay
 from app.scenes import solids
 from app.scenes.control import REAL_TIME, SPEEDS, Clock, ReplayChoice
@@ -38,7 +39,7 @@ class ReplayFrame(Frame):
         self.on_scrub(self.frame, self._pose)
 
     def _show(self, choice: ReplayChoice, *, obey: bool) -> None:
-        run = self.store.run(choice.run)
+        run = folder_reader(choice.run)
         replay = replays.load(run, choice.step, choice.episode, choice.horizon)
         if replay is None:
             raise UserError(f"episode {choice.episode + 1} of step {choice.step} cannot be read")

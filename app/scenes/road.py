@@ -1,7 +1,6 @@
 """Road-and-rocks in 3D: in a browser frame, and as one HTML file that plays without a server."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 
 import numpy as np
 import viser
@@ -9,17 +8,18 @@ from numpy.typing import NDArray
 from trimesh import PointCloud, creation
 
 from app.data import road
+from app.data.readers import folder_reader
 from app.data.road import CELLS, CENTRES, Picture, RoadShape, circle, on_road, outline
 from app.data.run_names import distinct_names
 from app.figures.base import OCTAVES
 from app.figures.road import GOAL, START
 from app.scenes import solids
 from app.scenes.control import RoadChoice
-from app.scenes.frame import Frame, Vector, add_text, set_up_lights, text_extent
+from app.scenes.frame import ASPECT, Frame, Vector, add_text, set_up_lights, stand_back, text_extent
 from app.scenes.solids import Colour, Robot, copies, weight_colours
 from app.theme import NEUTRAL, Mode, learner_colour, rgb
-from tom.errors import UserError
 from tom.machine.address import free_port
+from tom.record.reader import RunReader
 
 LAYERS = (
     ("columns", "weights as columns", True),
@@ -38,17 +38,15 @@ STEPS_PER_S, REST = 20.0, 20
 FRAME_S, STRIDE, REST_S = 0.1, 2, 1.0
 """of a film: seconds between two frames, steps of the task, and seconds after the cars' arrival"""
 
-CAMERA = (0.5, -0.12, 0.82)
-LOOK_AT = (0.5, 0.59, 0.0)
-"""behind the centre, so that the panel does not cover the map"""
+CAMERA = (-0.12, 0.82)
+LOOK_AT = (0.59, 0.0)
+"""y and z; behind the centre, so that the panel does not cover the map"""
 TALLEST = 0.13
 """height of a column whose weight is 16 times the uniform one or more"""
 LIFT = 0.006
 """height of lines above the surface"""
 GAP = 0.18
 """between two maps side by side"""
-ASPECT = 16 / 9
-"""width over height of a picture whose frame is not known"""
 TITLE, NAME = 0.048, 0.03
 """height of letters"""
 MARGIN = 0.008
@@ -191,19 +189,13 @@ def map_x(number: int) -> float:
     return number * (1 + GAP)
 
 
-def camera_for(count: int, fov: float, aspect: float = ASPECT) -> tuple[Vector, Vector]:
-    """The camera's position and target for `count` maps side by side.
+def camera_for(count: int) -> tuple[Vector, Vector, Vector]:
+    """The camera's position and target for `count` maps side by side, and their front corner.
 
-    It goes back until their front corners, with the words beside them, are in a picture that is
-    `fov` radians high and `aspect` times as wide.
+    The words beside the maps are within the corner.
     """
-    (_, y, z), (_, at, ground) = CAMERA, LOOK_AT
-    back = np.hypot(at - y, z)
-    nearer = at * (at - y) / back  # by this the maps' front edge is nearer than the target
-    half = map_x(count) / 2
-    away = max(1.0, float(half / (aspect * np.tan(fov / 2)) + nearer) / back)
-    middle = half - GAP / 2
-    return (middle, at + (y - at) * away, z * away), (middle, at, ground)
+    middle = (map_x(count) - GAP) / 2
+    return (middle, *CAMERA), (middle, *LOOK_AT), (-GAP / 2, 0.0, 0.0)
 
 
 def columns(
@@ -274,83 +266,69 @@ class RoadFrame(Frame):
     """Shows fits of road-and-rocks runs side by side."""
 
     title = "Road and rocks"
+    folded = False
 
     def _build_panel(self) -> None:
-        self._runs: tuple[str, ...] = ()
+        self._runs: list[RunReader] = []
         self._steps: list[int] = []
         self._scenes: list[RoadScene] = []
+        self._chosen = self._shown = -1
         self._since = self._driven = 0.0
         gui = self.client.gui
-        self.fit = gui.add_slider("fit", 0, 1, 1, 0)
-        self.words = gui.add_markdown("")
         self.play = gui.add_checkbox("play the fits", initial_value=False)
         self.drive = gui.add_checkbox("let the cars drive", initial_value=False)
         with gui.add_folder("Layers", expand_by_default=False):
             self.layers = {
                 name: gui.add_checkbox(label, initial_value=shown) for name, label, shown in LAYERS
             }
-        self.on_scrub(self.fit, lambda _: self._redraw())
+        self.play.on_update(lambda _: self._show_step(self._chosen))
         for layer in self.layers.values():
             layer.on_update(lambda _: self._apply_layers())
 
     def _show(self, choice: RoadChoice, *, obey: bool) -> None:
-        self._runs = choice.runs
-        steps = {step for name in self._runs for step in road.steps(self.store.run(name))}
-        self._steps = sorted(steps)
-        self.fit.max = max(len(self._steps) - 1, 1)
-        self.fit.disabled = len(self._steps) < 2
-        if choice.step in self._steps:
-            self.fit.value = self._steps.index(choice.step)
-        self._redraw()
+        self._runs = [folder_reader(folder) for folder in choice.runs]
+        self._steps = sorted({step for run in self._runs for step in road.steps(run)})
+        self._chosen = choice.step
+        self._show_step(choice.step)
 
     def _tick(self, seconds: float) -> None:
         """Advance to the next fit if the fits play, in a loop, and move the cars."""
         self._since += seconds
-        if self.play.value and len(self._steps) > 1 and self._since >= PLAY_S:
+        if self.play.value and self._steps and self._since >= PLAY_S:
             self._since = 0.0
-            self.fit.value = (int(self.fit.value) + 1) % len(self._steps)
-            self._redraw()
+            later = [step for step in self._steps if step > self._shown]
+            self._show_step((later or self._steps)[0])
         if self.drive.value:
             longest = max((each.longest for each in self._scenes), default=0)
             self._driven = (self._driven + seconds * STEPS_PER_S) % (longest + REST)
             self._drive()
 
-    def _redraw(self) -> None:
-        if not self._steps:
-            return
-        step = self._steps[min(int(self.fit.value), len(self._steps) - 1)]
-        shown = [(run, fit) for run in self._runs if (fit := self._fit_of(run, step)) is not None]
-        drawn = [(run, picture.step) for run, picture in shown]
-        if drawn == self._drawn or not shown:
-            return
-        same = self._drawn is not None and [r for r, _ in drawn] == [r for r, _ in self._drawn]
-        with self.client.atomic():
-            if same:
-                for each, (_, picture) in zip(self._scenes, shown, strict=True):
-                    each.update(picture)
-            else:
-                self._draw(shown)
-            self._apply_layers()
-            self._drive()
-        self._drawn = drawn
-        self.words.content = f"the record of step **{step:,}**"
+    def _show_step(self, step: int) -> None:
+        """Show each run's last fit up to a step."""
+        with self._lock:
+            self._shown = step
+            shown = [(run, fit) for run in self._runs if (fit := road.fit(run, step)) is not None]
+            drawn = [(run.run_id, picture.step) for run, picture in shown]
+            if drawn == self._drawn or not shown:
+                return
+            same = self._drawn is not None and [r for r, _ in drawn] == [r for r, _ in self._drawn]
+            with self.client.atomic():
+                if same:
+                    for each, (_, picture) in zip(self._scenes, shown, strict=True):
+                        each.update(picture)
+                else:
+                    self._draw(shown)
+                self._apply_layers()
+                self._drive()
+            self._drawn = drawn
 
-    def _fit_of(self, run_id: str, step: int) -> Picture | None:
-        """A run's fit at `step`, else the last one before; None if it was deleted or damaged."""
-        with suppress(UserError):
-            return road.fit(self.store.run(run_id), step)
-        return None
-
-    def _draw(self, shown: list[tuple[str, Picture]]) -> None:
+    def _draw(self, shown: list[tuple[RunReader, Picture]]) -> None:
         if len(shown) != len(self._scenes):
-            camera = self.client.camera
-            high = camera.image_height  # 0 in a tab that was never in front
-            aspect = camera.image_width / high if high else ASPECT
-            self.set_camera(*camera_for(len(shown), camera.fov, aspect))
+            self.set_camera(*camera_for(len(shown)))
         self.clear()
-        called = distinct_names([self.store.run(run) for run, _ in shown])
+        called = distinct_names([run for run, _ in shown])
         self._scenes = [
-            RoadScene(self.client.scene, picture, self.mode, i, called[run])
+            RoadScene(self.client.scene, picture, self.mode, i, called[run.run_id])
             for i, (run, picture) in enumerate(shown)
         ]
 
@@ -378,7 +356,9 @@ def as_html(fits: Sequence[Sequence[Picture]], mode: Mode, titles: Sequence[str]
         set_up_lights(server.scene, mode, front=0.5)
         server.scene.world_axes.visible = False
         camera = server.initial_camera
-        camera.position, camera.look_at = camera_for(len(fits[0]), camera.fov)
+        position, at, corner = camera_for(len(fits[0]))
+        camera.position = stand_back(position, at, corner, camera.fov, ASPECT)
+        camera.look_at = at
         scenes = [
             RoadScene(server.scene, picture, mode, i, title)
             for i, (picture, title) in enumerate(zip(fits[0], titles, strict=True))

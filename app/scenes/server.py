@@ -99,16 +99,12 @@ class SceneServer:
             return current[1]
         if current is not None:
             current[1].close()
-        frame = self._frame(client, selection)
+        frame = frame_class(selection.choice)(client, selection.mode)
         self.frames[number] = page, frame
         if number in self.server.get_clients():
             return self._frame_of(client, page)  # the page may show another kind by now
         self.frames.pop(number, None)
         return None
-
-    def _frame(self, client: viser.ClientHandle, selection: Selection) -> "Frame":
-        kind = frame_class(selection.choice)
-        return kind(client, self.links.store, selection.mode, compact=selection.compact)
 
     def _disconnected(self, client: viser.ClientHandle) -> None:
         self.frames.pop(client.client_id, None)

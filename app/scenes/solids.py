@@ -1,12 +1,11 @@
 """Capsules, ellipsoids, cylinders and boxes with their poses, and robots made of them."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from trimesh import Trimesh, creation
 
 from app.figures.base import OCTAVES, octaves
@@ -123,16 +122,16 @@ class Robot:
         scene: viser.SceneApi,
         name: str,
         solids: Solids,
-        colours: Sequence[Colour],
+        colours: ArrayLike,
         opacity: float | None = None,
     ) -> None:
-        """`colours` has one colour per robot; of a single one the solids need no axis R."""
+        """`colours` are (R, 3); of a single robot the solids need no axis R."""
         self.solids = solids
         self.node = scene.add_frame(name, show_axes=False)
-        shape = (len(colours), *solids.position.shape[-3:-1])
+        tint = np.reshape(np.asarray(colours, np.uint8), (-1, 3))
+        shape = (len(tint), *solids.position.shape[-3:-1])
         self._position = solids.position.reshape(*shape, 3)
         self._wxyz = solids.wxyz.reshape(*shape, 4)
-        tint = np.reshape(np.array(colours, np.uint8), (-1, 3))
         self._parts = [
             copies(scene, f"{name}/{i}", mesh, np.zeros(tint.shape), tint, opacity=opacity)
             for i, mesh in enumerate(solids.meshes)

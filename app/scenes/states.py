@@ -3,18 +3,18 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from app.data import buffer, weighings
+from app.data import buffer
 from app.data.buffer import WINDOW, poses, windows
+from app.data.readers import folder_reader
 from app.scenes import solids
 from app.scenes.control import SPEEDS, StatesChoice
 from app.scenes.frame import Frame, add_text, floor
-from app.scenes.solids import Colour, Robot, Solids
+from app.scenes.solids import Robot, Solids
 from app.theme import Mode
 from tom import readable
 from tom.envs.scene import Model
 from tom.errors import UserError
 from tom.record.reader import RunReader
-from tom.record.store import Store
 from tom.record.task_record import scene_of, task_of
 
 ROBOTS_IN_LINE = 3
@@ -49,7 +49,7 @@ class StatesFrame(Frame):
     def _show(self, choice: StatesChoice, *, obey: bool) -> None:
         if choice == self._drawn:
             return
-        run = find_run(str(self.store.path), choice.run)
+        run = folder_reader(choice.run)
         model = scene_of(run)
         if model is None:
             raise UserError(f"nothing to draw of {run.env}: its states are curves on the page")
@@ -69,15 +69,16 @@ class StatesFrame(Frame):
             self._pose(self._at)
         if run.env != self._env:
             self._env, self._dt = run.env, model.dt
-            width, depth = 3.6 * size
-            away = 0.5 * width + 0.4
+            width, depth = size.tolist()
+            away = 1.8 * width + 0.4
             self.set_camera(
-                (0.1, -away, height + 1.0 + 0.35 * away), (0.1, 0.3 * depth, height + 0.5)
-            )
+                (0.0, -away, height + 1.0 + 0.35 * away), (0.0, 1.1 * depth, height + 0.5),
+                corner=(-(ROBOTS_IN_LINE + 0.25) * width, -depth / 2, height),
+            )  # fmt: skip
         self._drawn = choice
 
     def _group(
-        self, words: str, robots: Solids, colours: list[Colour], side: int, size: NDArray
+        self, words: str, robots: Solids, colours: NDArray[np.uint8], side: int, size: NDArray
     ) -> tuple[Robot, NDArray]:
         """The robots of a side, -1 for the left and 1 for the right, and their places (R, 1, 3).
 
@@ -106,17 +107,9 @@ class StatesFrame(Frame):
                 robot.pose(at, place)
 
 
-def find_run(store: str, name: str) -> RunReader:
-    """The run or data set `name`. Raises UserError if there is none."""
-    try:
-        return Store(store).run(name)
-    except UserError:
-        return weighings.dataset(store, name)
-
-
 def _groups(
     run: RunReader, choice: StatesChoice, model: Model, mode: Mode
-) -> list[tuple[str, Solids, list[Colour]]]:
+) -> list[tuple[str, Solids, NDArray[np.uint8]]]:
     """The title, the robots and their colours of each group that has rows."""
     recorded, _, state, _ = buffer.recorded_with_states(run)
     ended = recorded.ended()
@@ -130,9 +123,7 @@ def _groups(
                 "< 0.001" if 0 < weight < 0.001 else readable.short(weight)
                 for weight in (min(weights), max(weights))
             )
-            tints = solids.weight_colours(np.array(weights, np.float64), mode)
-            colours = [(int(r), int(g), int(b)) for r, g, b in tints]
-            groups.append(
-                (f"{words}: weight {' to '.join(ends)}", solids.robot_solids(model, qpos), colours)
-            )
+            colours = solids.weight_colours(np.array(weights, np.float64), mode)
+            title = f"{words}: weight {' to '.join(ends)}"
+            groups.append((title, solids.robot_solids(model, qpos), colours))
     return groups

@@ -17,21 +17,21 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from app.router import VIEWS
-from app.scenes.film import cinema, story
+from app.scenes.film import SECONDS, cinema, story
 from app.servers.browser import CHARTS_DRAWN, chromium
 from app.servers.cinema import film_tab, video
 from tom.machine import processes
 from tom.record.store import Store
 
 if TYPE_CHECKING:
-    from playwright.sync_api import BrowserContext, Page, ViewportSize
+    from playwright.sync_api import Page, ViewportSize
 
 FIRST_S, PAGE_S, FOUR_CPU_S = 6.0, 2.0, 0.3
 FRESH_MB, USED_MB, CHANGES = 800.0, 1000.0, 200
 IDLE_S, IDLE_PERCENT = 20.0, 2.0
 FRAMES_A_SECOND = 30.0
 FILM_S = 60.0
-"""length of the film, and the seconds that it may take"""
+"""seconds that a film of SECONDS may take"""
 READERS = 4
 STOP_S = 5.0
 DRAWN_S = {40_000: 0.5, 300_000: 1.0, 1_000_000: 3.0}
@@ -117,14 +117,16 @@ class Measured:
         return self.value >= self.target if self.at_least else self.value <= self.target
 
 
-def measure(store: Path, played: str, changes: int = CHANGES) -> Iterator[Measured]:
+def measure(store: Path, played: str) -> Iterator[Measured]:
     """Start a studio of `store`, turn its pages, leave them alone, play the fits of a run, film it.
 
     Raises UserError if there is no browser, RuntimeError if the studio does not start.
     """
     with chromium() as browser, _studio(store) as (began, pid, address):
         contexts = [browser.new_context(base_url=address) for _ in range(READERS)]
-        page = _tab(contexts[0])
+        for context in contexts:
+            context.set_default_timeout(TIMEOUT_MS)
+        page = contexts[0].new_page()
         page.goto(address)
         _wait(page, VIEWS[0].TITLE)
         yield Measured("start to first useful page", time.monotonic() - began, "s", FIRST_S)
@@ -143,7 +145,7 @@ def measure(store: Path, played: str, changes: int = CHANGES) -> Iterator[Measur
         page.wait_for_timeout(SETTLE_MS)
         drawn = float(page.evaluate(COUNT_FRAMES))
         yield Measured("fits that play", drawn, "frames/s", FRAMES_A_SECOND, at_least=True)
-        tabs = [page, *(_tab(context) for context in contexts[1:])]
+        tabs = [page, *(context.new_page() for context in contexts[1:])]
         for view in VIEWS:
             before = processor_s(pid)
             for tab in tabs:
@@ -155,13 +157,13 @@ def measure(store: Path, played: str, changes: int = CHANGES) -> Iterator[Measur
             yield Measured(f"{view.TITLE}, {READERS} browsers", each, "CPU s a page", FOUR_CPU_S)
         for tab in tabs[1:]:
             tab.close()
-        for i in range(changes):
+        for i in range(CHANGES):
             _open_page(page, VIEWS[i % len(VIEWS)].TITLE)
-        yield Measured(f"memory, {changes} pages on", memory_mb(pid), "MB", USED_MB)
+        yield Measured(f"memory, {CHANGES} pages on", memory_mb(pid), "MB", USED_MB)
     run = Store(store).run(played)
-    with film_tab(cinema(story(run), run.learner, "light", FILM_S)) as tab:
+    with film_tab(cinema(story(run), run.learner, "light")) as tab:
         began = time.monotonic()
-        video(tab, FILM_S)
+        video(tab, SECONDS)
         yield Measured("film of a minute", time.monotonic() - began, "s", FILM_S)
 
 
@@ -173,9 +175,10 @@ def measure_map(store: Path, runs: Mapping[int, str]) -> Iterator[Measured]:
     with chromium() as browser, _studio(store) as (_, _, address):
         viewport: ViewportSize = {"width": 1280, "height": 900}
         context = browser.new_context(viewport=viewport, base_url=address)
+        context.set_default_timeout(TIMEOUT_MS)
         for rows, run in runs.items():
             for turn in ("first", "again"):
-                page = _tab(context)
+                page = context.new_page()
                 page.goto(f"/findings?run={run}")
                 page.locator(".runlist .section").first.wait_for()
                 page.wait_for_timeout(SETTLE_MS)
@@ -190,12 +193,6 @@ def measure_map(store: Path, runs: Mapping[int, str]) -> Iterator[Measured]:
             yield Measured(f"{rows:,} rows: timeline step", step, "s", STEPPED_S.get(rows))
             memory = _script_mb(page)
             yield Measured(f"{rows:,} rows: page memory", memory, "MB", MEMORY_MB.get(rows))
-
-
-def _tab(context: "BrowserContext") -> "Page":
-    page = context.new_page()
-    page.set_default_timeout(TIMEOUT_MS)
-    return page
 
 
 def _open_page(page: "Page", title: str) -> float:

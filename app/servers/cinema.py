@@ -41,9 +41,7 @@ _PICTURE = """(seconds) => {
 }"""
 
 
-def export(
-    store: Path, run_id: str | None, folder: Path, mode: Mode = "light", seconds: float = SECONDS
-) -> int:
+def export(store: Path, run_id: str | None, folder: Path, mode: Mode) -> int:
     """Write `cinema.html`, `cinema.mp4` and `cinema.webp` of a run into `folder`. Returns 0.
 
     Without a run it is the first that weighs. Raises UserError without a story, or a browser.
@@ -56,13 +54,13 @@ def export(
         which = f"run '{run_id}'" if run_id else f"a run in {store}"
         raise UserError(f"no story of {which}: it needs model fits and its buffer")
     run = min(with_story, key=widgets.interest_key)
-    page = cinema(story(run), run.learner, mode, seconds)
+    page = cinema(story(run), run.learner, mode)
     with film_tab(page) as tab:
-        with ProgressReport("seconds of the film", round(seconds), sys.stderr) as bar:
-            film = video(tab, seconds, lambda share: bar.step())
+        with ProgressReport("seconds of the film", round(SECONDS), sys.stderr) as bar:
+            film = video(tab, SECONDS, lambda share: bar.step())
         count, frames = SHORT_S * SHORT_RATE, []
         for i in range(count):
-            content = base64.b64decode(tab.evaluate(_PICTURE, seconds * i / (count - 1)))
+            content = base64.b64decode(tab.evaluate(_PICTURE, SECONDS * i / (count - 1)))
             frame = Image.open(io.BytesIO(content)).convert("RGB")
             size = SHORT_WIDTH, round(frame.height * SHORT_WIDTH / frame.width)
             frames.append(frame.resize(size, Image.Resampling.LANCZOS))

@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 import webbrowser
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -26,13 +26,14 @@ DEFAULT_PORT = 8600
 START_TIMEOUT_S = 60.0
 ATTEMPTS = 3
 """launches, each on a newly found port, before the studio gives up"""
-MALLOC_SETTINGS = {
+SETTINGS = {
+    "OMP_NUM_THREADS": "1",
     "MALLOC_ARENA_MAX": "2",
     "MALLOC_MMAP_THRESHOLD_": "262144",
     "MALLOC_TRIM_THRESHOLD_": "262144",
     "ARROW_DEFAULT_MEMORY_POOL": "system",
 }
-"""settings under which a server's threads return what they have freed"""
+"""settings under which a server's threads share the cores, and return what they have freed"""
 OPEN = (
     "tom studio: reachable from other machines without a password; everybody who reaches this host "
     "can read the runs"
@@ -48,15 +49,10 @@ class Server:
     Its process group ends with this process.
     """
 
-    def __init__(
-        self, links: Links, command: Sequence[str] = (sys.executable, "-m", "app.servers.pages")
-    ) -> None:
+    def __init__(self, links: Links) -> None:
         self.links, self.log = links, links.file("log")
-        environment = {
-            **os.environ,
-            **links.environment(),
-            "OMP_NUM_THREADS": "1",
-        } | MALLOC_SETTINGS
+        command = [sys.executable, "-m", "app.servers.pages"]
+        environment = {**os.environ, **links.environment(), **SETTINGS}
         with self.log.open("wb") as log:
             self.process = processes.start(command, log, environment)
 
@@ -169,7 +165,7 @@ def with_port_and_key(requested: Links, folder: str) -> Links:
     """
     try:
         port = _port(requested.host, requested.port)
-    except (OSError, OverflowError) as error:
+    except OSError as error:
         raise UserError(
             f"cannot listen on --host {requested.host}: {error}; use 127.0.0.1 or an address of "
             "this machine"

@@ -42,16 +42,6 @@ RESTART_S = 3.0
 """from the end of a 3D server to the next"""
 LARGEST_FIGURE = 20_000_000
 """bytes of a figure that a page sends to have it drawn for a paper"""
-FIGURE_ERRORS = (
-    ValueError,
-    TypeError,
-    LookupError,
-    ArithmeticError,
-    AttributeError,
-    RecursionError,
-)
-"""what the drawing of something raises that is no figure"""
-
 FORWARDED = {
     "/live": ("/", {}),
     "/answer": ("/", {}),
@@ -145,7 +135,7 @@ def routes(links: Links) -> list[BaseRoute]:
                 raise ValueError("the figure is too large")
             content = await request.json()
             file = await run_in_threadpool(paper.paper_figure, content, width, kind)
-        except FIGURE_ERRORS as error:
+        except Exception as error:  # whatever the drawing of something raises that is no figure
             return PlainTextResponse(f"this figure cannot be drawn: {error!r}", status_code=400)
         return Response(file, media_type=paper.KINDS[kind])
 

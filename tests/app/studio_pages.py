@@ -5,19 +5,22 @@ import io
 import json
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 import pytest
+from kernel import wait_for
 from streamlit.testing.v1 import AppTest
 
 from app.links import Links
 from app.parts import plot
-from app.scenes.control import clock
+from app.scenes.control import Clock, Selection, clock, listen
 from app.servers.browser import chromium
 from tom.record.reader import RunReader
 
@@ -44,13 +47,21 @@ def set_links(links: Links, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, value)
 
 
-def answers(control: str) -> bool:
-    """Whether a scene server listens on the socket; its file is there a moment before."""
-    try:
-        clock(control, "a page")
-    except (FileNotFoundError, ConnectionRefusedError):
+def hear(
+    control: str,
+    select: Callable[[str, Selection], None],
+    clock_of: Callable[[str], Clock | None] = lambda _: None,
+) -> None:
+    """Listen on the socket as a scene server does, from now on."""
+
+    def answers() -> bool:  # the socket's file is there a moment before
+        with suppress(FileNotFoundError, ConnectionRefusedError):
+            clock(control, "a page")
+            return True
         return False
-    return True
+
+    Thread(target=listen, args=(control, select, clock_of), daemon=True).start()
+    wait_for(answers)
 
 
 def draw(view: str, **query: str | list[str]) -> AppTest:

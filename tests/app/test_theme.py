@@ -19,9 +19,11 @@ from app.theme import (
     SYMBOLS,
     TEXT,
     Mode,
+    contrast,
     learner_colour,
     learner_label,
     learner_symbol,
+    linear_light,
     ramp,
     rgb,
     scale_colours,
@@ -43,16 +45,6 @@ VISION = {
     ),
 }
 TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-
-
-def light(colour: str) -> np.ndarray:
-    share = np.array(rgb(colour)) / 255
-    return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-
-
-def contrast(first: str, second: str) -> float:
-    low, high = sorted(float(TO_XYZ[1] @ light(c)) for c in (first, second))
-    return (high + 0.05) / (low + 0.05)
 
 
 def lab(intensity: np.ndarray) -> np.ndarray:
@@ -100,14 +92,14 @@ def test_learners_groups_and_points_stand_out_from_the_page(mode: Mode) -> None:
     ],
 )
 def test_colours_differ_for_every_eye(colours: tuple[str, ...], least: float, vision: str) -> None:
-    seen = [lab(VISION[vision] @ light(colour)) for colour in colours]
+    seen = [lab(VISION[vision] @ linear_light(rgb(colour))) for colour in colours]
     assert min(np.linalg.norm(a - b) for a, b in combinations(seen, 2)) >= least
 
 
 @pytest.mark.parametrize("vision", VISION)
 @pytest.mark.parametrize("mode", ["light", "dark"])
 def test_an_ordered_scale_gets_lighter_for_every_eye(mode: Mode, vision: str) -> None:
-    lightness = [lab(VISION[vision] @ light(colour))[0] for colour in ramp(7, mode)]
+    lightness = [lab(VISION[vision] @ linear_light(rgb(colour)))[0] for colour in ramp(7, mode)]
     assert (np.diff(lightness) > 3).all()
 
 
@@ -135,8 +127,10 @@ def test_a_group_s_look_is_the_same_whatever_is_shown_beside_it() -> None:
 @pytest.mark.parametrize("vision", VISION)
 def test_tom_as_printed_is_told_from_all_main_groups_by_every_eye(vision: str) -> None:
     kind = Kind("tom", "paper", "")
-    core = lab(VISION[vision] @ light(styles_of([("hopper", kind)])[kind].core))
-    others = [lab(VISION[vision] @ light(colour)) for colour in LEARNER_COLOURS.values()]
+    core = lab(VISION[vision] @ linear_light(rgb(styles_of([("hopper", kind)])[kind].core)))
+    others = [
+        lab(VISION[vision] @ linear_light(rgb(colour))) for colour in LEARNER_COLOURS.values()
+    ]
     assert min(np.linalg.norm(core - other) for other in others) >= 14
 
 

@@ -34,16 +34,16 @@ function valueAt(root, point) {
 // The row nearest to a point of the canvas, if one is near; a chosen one before others.
 function rowAt(root, [px, py]) {
   const { rows, given, place } = root;
-  const axes = given.planes[0]?.axes.map((axis) => here(axis.url));
-  if (!axes?.[0] || !axes[1] || !place) return null;
+  const [X, Y] = given.planes[0]?.axes.map(rows.codes) ?? [];
+  if (!X || !Y || !place) return null;
   const [cx, cy] = codeAt(root, [px, py]);
   const { clientWidth, clientHeight } = root.querySelector(".map-cells");
   const [wide, high] = [((root.view.x[1] - root.view.x[0]) * NEAR_PX) / clientWidth, ((root.view.y[1] - root.view.y[0]) * NEAR_PX) / clientHeight];
   let [best, row] = [1, null];
   for (let i = 0; i < rows.count; i++) {
-    const dx = (axes[0][rows.first + i] - cx) / wide;
+    const dx = (X[i] - cx) / wide;
     if (dx > 1 || dx < -1) continue;
-    const dy = (axes[1][rows.first + i] - cy) / high;
+    const dy = (Y[i] - cy) / high;
     const away = dx * dx + dy * dy + (rows.failed[i] ? 0.5 : 0);
     if (away < best) [best, row] = [away, rows.first + i];
   }
@@ -141,8 +141,7 @@ function resetView(root) {
 }
 
 function overAgain(root) {
-  const plane = root.given.planes[0];
-  const [X, Y] = plane.axes.map((axis) => here(axis.url)?.subarray(root.rows.first, root.rows.first + root.rows.count));
+  const [X, Y] = root.given.planes[0].axes.map(root.rows.codes);
   if (X && Y) drawOver(root, X, Y);
 }
 
@@ -175,17 +174,22 @@ function wireHistogram(root, figure) {
     const { left, width } = canvas.getBoundingClientRect();
     return Math.min(Math.max((event.clientX - left) / width, 0), 1);
   };
-  const interval = (a, b) => {
-    const [low, high] = [Math.min(a, b), Math.max(a, b)];
-    return [low <= 0.004 ? null : rounded(atShare(column(), low)), high >= 0.996 ? null : rounded(atShare(column(), high))];
+  const clear = () => choose(root, brushed(root, column().name, null));
+  // Choose the rows between two shares of the axis; all of it is no brush.
+  const brushTo = (...shares) => {
+    const [from, to] = shares.map((share) => Math.min(Math.max(share, 0), 1)).sort((a, b) => a - b);
+    const interval = [from <= 0.004 ? null : rounded(atShare(column(), from)), to >= 0.996 ? null : rounded(atShare(column(), to))];
+    const some = interval.some((end) => end !== null);
+    choose(root, brushed(root, column().name, some ? interval : null), { rest: REST_MS });
   };
+  const endsOf = (brush) => brush.map((value, i) => (value === null ? i : shareOf(column(), value)));
   let from = null;
   let whole = null; // the brush that is moved, in shares
   canvas.onpointerdown = (event) => {
     canvas.setPointerCapture(event.pointerId);
     const share = shareAt(event);
     const brush = root.selection.intervals[column().name];
-    const ends = brush && brush.map((value, i) => (value === null ? i : shareOf(column(), value)));
+    const ends = brush && endsOf(brush);
     const grip = 6 / canvas.clientWidth;
     whole = null;
     if (ends && Math.abs(share - ends[0]) < grip) from = ends[1];
@@ -199,24 +203,20 @@ function wireHistogram(root, figure) {
     const share = shareAt(event);
     const ends = whole ? whole.map((end) => end + share - from) : [from, share];
     if (Math.abs(share - from) * canvas.clientWidth < 2) return;
-    const next = interval(Math.max(ends[0], 0), Math.min(ends[1], 1));
-    choose(root, brushed(root, column().name, next[0] === null && next[1] === null ? null : next), { rest: REST_MS });
+    brushTo(...ends);
   };
   canvas.onpointerup = (event) => {
     const clicked = from !== null && Math.abs(shareAt(event) - from) * canvas.clientWidth < 2;
     from = null;
-    if (clicked && root.selection.intervals[column().name]) choose(root, brushed(root, column().name, null));
+    if (clicked && root.selection.intervals[column().name]) clear();
   };
   canvas.onkeydown = (event) => {
     const by = { ArrowLeft: -0.02, ArrowRight: 0.02 }[event.key];
-    if (event.key === "Escape" || event.key === "Delete") return choose(root, brushed(root, column().name, null));
+    if (event.key === "Escape" || event.key === "Delete") return clear();
     if (!by) return undefined;
     event.preventDefault();
-    const brush = root.selection.intervals[column().name] ?? [null, null];
-    const ends = brush.map((value, i) => (value === null ? i : shareOf(column(), value)));
-    const moved = event.shiftKey ? [ends[0], ends[1] + by] : [ends[0] + by, ends[1]];
-    const next = interval(Math.min(Math.max(moved[0], 0), 1), Math.min(Math.max(moved[1], 0), 1));
-    return choose(root, brushed(root, column().name, next[0] === null && next[1] === null ? null : next), { rest: REST_MS });
+    const [low, high] = endsOf(root.selection.intervals[column().name] ?? [null, null]);
+    return event.shiftKey ? brushTo(low, high + by) : brushTo(low + by, high);
   };
 }
 

@@ -92,21 +92,30 @@ function brushed(root, name, interval) {
 
 // --- What it is coloured by.
 
+const diverging = (value, octaves) => Math.round(Math.min(Math.max(value / (2 * octaves) + 0.5, 0), 1) * (SHADES - 1));
+
+function byWeight({ rows, tables }) {
+  const mean = rows.total / rows.count || 1;
+  return {
+    by: (i) => rows.weight[i], table: tables.diverging,
+    shade: (weight) => diverging(Math.log2(Math.max(weight / mean, 1e-9)), 4),
+    title: "share of the weight : share of the rows", ticks: ["× 1/16", "equal", "× 16"],
+    words: (weight) => `× ${short(weight / mean)} its share of the weight`,
+  };
+}
+
 function colouring(root) {
   const { rows, given } = root;
-  const { mode } = given;
-  const mean = rows.total / rows.count || 1;
-  const diverging = (value, octaves) => Math.round((Math.min(Math.max(value / (2 * octaves) + 0.5, 0), 1)) * (SHADES - 1));
   if (root.colour === "against" && given.against && root.against) {
     const { first, count, weight, total } = root.against;
-    const other = total / count || 1;
+    const [mean, other] = [rows.total / rows.count || 1, total / count || 1];
     const ratio = (i) => {
       const at = rows.first + i - first;
       if (at < 0 || at >= count) return NaN;
       return Math.log2(Math.max(rows.weight[i] / mean, 1 / 64) / Math.max(weight[at] / other, 1 / 64));
     };
     return {
-      by: ratio, shade: (value) => diverging(value, 5), table: root.tables.diverging, of: "diverging",
+      by: ratio, shade: (value) => diverging(value, 5), table: root.tables.diverging,
       title: `weight against that of ${given.against.label}`, ticks: ["× 1/32", "equal", "× 32"],
       words: (value) => `× ${short(2 ** value)} of the other's weight`,
     };
@@ -115,18 +124,13 @@ function colouring(root) {
   const codes = column && rows.codes(column);
   if (codes) {
     return {
-      by: (i) => (codes[i] === UNKNOWN ? NaN : codes[i]), of: "sequential", table: root.tables.sequential,
+      by: (i) => (codes[i] === UNKNOWN ? NaN : codes[i]), table: root.tables.sequential,
       shade: (code) => Math.round((code / TOP) * (SHADES - 1)),
       title: `mean ${column.name}`, ticks: [0, TOP / 2, TOP].map((code) => short(valueOf(column, code)) + unitOf(column.name)),
       words: (code) => `${column.name} ${short(valueOf(column, code))}${unitOf(column.name)}`,
     };
   }
-  return {
-    by: (i) => rows.weight[i], of: "diverging", table: root.tables.diverging,
-    shade: (weight) => diverging(Math.log2(Math.max(weight / mean, 1e-9)), 4),
-    title: "share of the weight : share of the rows", ticks: ["× 1/16", "equal", "× 16"],
-    words: (weight) => `× ${short(weight / mean)} its share of the weight`,
-  };
+  return byWeight(root);
 }
 
 // --- Drawing.
@@ -157,10 +161,9 @@ function drawMap(root) {
   const canvas = root.querySelector(".map-cells");
   const { context, width, height } = paper(canvas);
   const plane = given.planes[0];
-  const [whole0, whole1] = plane ? plane.axes.map((axis) => here(axis.url)) : [];
-  if (!whole0 || !whole1 || !width) return;
-  const [X, Y] = [whole0, whole1].map((codes) => codes.subarray(rows.first, rows.first + rows.count));
-  if (root.viewOf !== plane.key) [root.view, root.viewOf] = [wholeView(whole0, whole1), plane.key];
+  const [X, Y] = plane?.axes.map(rows.codes) ?? [];
+  if (!X || !Y || !width) return;
+  if (root.viewOf !== plane.key) [root.view, root.viewOf] = [wholeView(...plane.axes.map(({ url }) => here(url))), plane.key];
   const { view } = root;
   const look = colouring(root);
   const cells = cellsOf(rows, X, Y, view, width, height, look.by);
@@ -214,10 +217,8 @@ function drawOver(root, X, Y) {
   const marked = root.marked ?? given.row;
   context.lineWidth = 2.5;
   if (within(marked)) ring(at(marked), 7, back);
-  const mean = rows.total / rows.count || 1;
-  const table = root.tables.diverging;
-  const shade = (w) => table[Math.round(Math.min(Math.max(Math.log2(Math.max(w / mean, 1e-9)) / 8 + 0.5, 0), 1) * (SHADES - 1))];
-  drawStrip(strip.querySelector("canvas"), rows, path, marked, root.colours, shade);
+  const { shade, table } = byWeight(root);
+  drawStrip(strip.querySelector("canvas"), rows, path, marked, root.colours, (w) => table[shade(w)]);
   strip.querySelector("p").textContent =
     `Row ${given.row.toLocaleString("en-US")}: its episode is the line that starts at the small ring; its ${given.near.length} nearest rows are rings. Below: weights along the episode's ${(given.path[1] - given.path[0] + 1).toLocaleString("en-US")} steps.`;
 }

@@ -74,7 +74,7 @@ function bounds(column, [low, high]) {
     const within = (low === null || low <= column.low) && (high === null || column.low <= high);
     return within ? [0, UNKNOWN] : [1, 0];
   }
-  const span = column.high - column.low || 1;
+  const span = column.high - column.low;
   const first = low === null ? 0 : Math.ceil(((low - column.low) / span) * TOP - 1e-6);
   const last = high === null ? TOP : Math.floor(((high - column.low) / span) * TOP + 1e-6);
   return [Math.max(first, 0), Math.min(last, TOP)];
@@ -106,11 +106,10 @@ function rowsOf(given, source, weights) {
   const own = { [AGE]: age, [RANK]: rank, [WEIGHT]: weights };
   // `failed` has the bit of each filter that leaves a row out.
   const rows = { source, first: source.first, count, weight, total, squares, own, failed: new Uint32Array(count), bits: new Map(), store: new Uint32Array(count + 1) };
-  rows.codes = (column) => {
-    if (own[column.name]) return own[column.name];
-    if (column.name === DISTANCE) return source.distance && here(source.distance);
-    const codes = here(column.url);
-    return codes && codes.subarray(source.first, source.first + count);
+  // The codes of a quantity of the record, or an axis of a plane, by its address; else of the fit.
+  rows.codes = ({ name, url }) => {
+    if (url) return here(url)?.subarray(source.first, source.first + count);
+    return name === DISTANCE ? source.distance && here(source.distance) : own[name];
   };
   return rows;
 }
@@ -125,7 +124,7 @@ function withinInterval(rows, column, interval) {
 
 // Whether a row lies inside a closed outline, by the even-odd rule: rows are counted, not cells.
 function withinOutline(rows, plane, corners) {
-  const [X, Y] = plane.axes.map((axis) => here(axis.url)?.subarray(rows.first, rows.first + rows.count));
+  const [X, Y] = plane.axes.map(rows.codes);
   if (!X || !Y) return null;
   const [ax, ay] = plane.axes;
   const [xs, ys] = [0, 1].map((axis) => corners.map((corner) => corner[axis]));

@@ -3,7 +3,7 @@
 Streamlit's own chart is removed and built again whenever its figure differs.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -39,13 +39,12 @@ class Follow:
     """How a chart follows the page's timeline, in the browser.
 
     With `cursor` a line stands at its step on the chart's x axis, which has env steps. `trace`
-    (the first trace's y, or properties of it by name, at each of `steps`, ascending) shows the last
-    of them that is not after the timeline's step.
+    has properties of the first trace by step: those of the last that is not after the timeline's
+    are shown.
     """
 
     cursor: bool = False
-    steps: Sequence[int] = ()
-    trace: Sequence[Sequence[float] | Mapping[str, Any]] | None = None
+    trace: Mapping[int, Mapping[str, Any]] | None = None
 
 
 class View(NamedTuple):

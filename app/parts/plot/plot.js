@@ -315,10 +315,10 @@ function stand(line, { t, h }, x) {
   for (const [name, value] of Object.entries(at)) if (line.style[name] !== value) line.style[name] = value;
 }
 
-// Shows the state of the page's timeline: a cursor at its step, and the first trace's values at the
-// last of the figure's own steps that is not after it.
+// Shows the state of the page's timeline: a cursor at its step, and the first trace as it was at the
+// last of its own steps that is not after it.
 function follow(plot, step) {
-  const { cursor, steps, trace } = plot.follows ?? {};
+  const { cursor, trace } = plot.follows ?? {};
   if (step === undefined || !plot.wired) return;
   const mark = plot.parentElement.querySelector(".plot-cursor");
   mark.hidden = !cursor;
@@ -328,14 +328,13 @@ function follow(plot, step) {
     mark.hidden = !(x >= 0 && x <= xaxis._length);
     stand(mark, _size, xaxis._offset + x);
   }
-  if (!trace?.length) return;
-  const at = Math.max(steps.filter((own) => own <= step).length - 1, 0);
+  if (!trace) return;
+  const steps = Object.keys(trace); // ascending, as they are whole numbers
+  const at = steps.findLast((own) => Number(own) <= step) ?? steps[0];
   if (at === plot.frame) return;
   plot.frame = at;
-  const values = trace[at], { floor } = plot.layout.meta ?? {};
-  const y = Array.isArray(values) && floor ? values.map((value) => Math.max(value, floor)) : values;
-  Object.assign(plot.data[0], Array.isArray(values) ? { y, customdata: values } : values);
-  if (!moveBars(plot, y)) return window.Plotly.redraw(plot);
+  Object.assign(plot.data[0], trace[at]);
+  if (!moveBars(plot, plot.data[0].y)) return window.Plotly.redraw(plot);
   // What hovering shows comes with a whole drawing, once nothing has moved for a moment.
   clearTimeout(plot.later);
   plot.later = setTimeout(() => plot.isConnected && plot.wired && window.Plotly.redraw(plot), 400);

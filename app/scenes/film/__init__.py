@@ -240,8 +240,8 @@ def ghost_film(
 ) -> str:
     """The page that plays the real robot in the middle and the two ghosts beside it.
 
-    `drawn` is the task and its robot's model, `kept` the arrays of `ghosts.npz`, `name` the name of
-    the brushed model.
+    `robot` is the task and its robot's model, `arrays` are those of `ghosts.npz`, and `name` is
+    that of the model brushed by `factor`.
     """
     robots = [
         {"name": label, "colour": colour, "shift": shift, "alpha": alpha}

@@ -7,20 +7,20 @@ import numpy as np
 import streamlit as st
 
 from app import session, text
-from app.data import buffer, readers, road, weighings
+from app.data import readers, road, weighings
 from app.data.answer import newest_share
-from app.data.cache import get_or_make
+from app.data.cache import cached
 from app.data.exams import at_fit
 from app.data.run_names import distinct_names, full_names
 from app.data.weighings import Dataset
 from app.figures.road import cells, road_map
-from app.figures.weights import over_fits, weight_profile
+from app.figures.weights import FLOOR, over_fits, weight_profile
 from app.parts import address, timeline, widgets
 from app.parts.map import SELECTOR
 from app.parts.plot import FigureJson, Follow, Point, chart
 from app.parts.scope import Scope
 from app.scenes.control import RoadChoice
-from app.theme import learner_label
+from app.theme import Mode, learner_label
 from app.views.attention import in_buffer, learners
 from tom.analysis.curves import curve_points
 from tom.envs import ROAD
@@ -234,14 +234,8 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
     left, right = st.columns([3, 2])
     with left, st.container(border=True, height="stretch"):
         st.markdown("**Every fit**: weight by age, newest on top, and the returns")
-        mode, loop = session.mode(), readers.loop_reader(run)
-
-        def map_figure() -> FigureJson:
-            returns = widgets.curve(loop, "eval/return")
-            return FigureJson.of(over_fits([("", returns, profiles)], mode, HEIGHT))
-
-        version = run.version("profiles"), loop.version("metrics")
-        figure = get_or_make(("weight map", run.path, mode), version, map_figure)
+        loop = readers.folder_reader(run.home)  # of live weights: whose returns these are
+        figure = _every_fit(run, loop, session.mode())
         label = "weight of each part of the buffer at every fit, and the returns below"
         to_fit = partial(_go_to, fits)
         chart(figure, "weight map", label, to_fit, follow=Follow(cursor=True), after=SELECTOR)
@@ -249,20 +243,27 @@ def _over_time(run: RunReader, profiles: Profiles, fit: int) -> None:
             st.caption(f"An example keeps {FITS} fits at most, spread over the run.")
     with right, st.container(border=True, height="stretch"):
         st.markdown("**This fit**; dashed: every transition counts the same")
-
-        def profile_figure() -> FigureJson:
-            top = float(np.nanmax(profiles.bins))  # of all fits, so that the axis stands still
-            bins = profiles.bins[fits.index(fit)]
-            figure = weight_profile(bins, run.learner, HEIGHT, top=top, keep=run.run_id)
-            return FigureJson.of(figure)
-
-        figure = get_or_make(("profile", run.path, fit), run.version("profiles"), profile_figure)
         finite = np.nan_to_num(profiles.bins)  # JSON has no NaN
-        follow = Follow(
-            steps=fits, trace=np.where(finite < 1, finite.round(6), finite.round(2)).tolist()
-        )
+        weights = np.where(finite < 1, finite.round(6), finite.round(2))
+        drawn = np.maximum(weights, FLOOR).tolist()
+        frames = zip(fits, weights.tolist(), drawn, strict=True)
+        follow = Follow(trace={at: {"customdata": own, "y": y} for at, own, y in frames})
         label = "mean weight, oldest to newest transitions"
-        chart(figure, "profile", label, follow=follow, after=SELECTOR)
+        chart(_one_fit(run, fit), "profile", label, follow=follow, after=SELECTOR)
+
+
+@cached("profiles", "metrics")
+def _every_fit(run: RunReader, loop: RunReader, mode: Mode) -> FigureJson:
+    returns = widgets.curve(loop, "eval/return")
+    return FigureJson.of(over_fits([("", returns, readers.profiles(run))], mode, HEIGHT))
+
+
+@cached("profiles")
+def _one_fit(run: RunReader, fit: int) -> FigureJson:
+    profiles = readers.profiles(run)
+    top = float(np.nanmax(profiles.bins))  # of all fits, so that the axis stands still
+    bins = profiles.bins[profiles.env_step.tolist().index(fit)]
+    return FigureJson.of(weight_profile(bins, run.learner, HEIGHT, top=top, keep=run.run_id))
 
 
 def _go_to(fits: list[int], point: Point) -> None:
@@ -277,7 +278,7 @@ def _links(run: RunReader, step: int) -> None:
     def open_learners() -> None:
         state = st.session_state
         state["part"], state["run"], state["at"] = LEARNERS_ON_IT, [run.run_id], kept[-1]
-        for one in weighings.all_of_run(run, buffer.length(run)):
+        for one in weighings.all_of_run(run):
             if one.step == kept[-1]:
                 state["weighed"] = one.name
                 break
@@ -306,25 +307,24 @@ def _road(scope: Scope, run: RunReader, step: int) -> None:
         "Side by side with", list(others), "beside", full_names(shown).__getitem__,
         max_selections=MOST_BESIDE, placeholder="no other run",
     )  # fmt: skip
-    picture = road.fit(run, step)
-    if picture is None:
+    if road.fit(run, step) is None:
         st.warning("This run's map cannot be read.")
         return
     _road_numbers(run)
     runs = [run, *(others[run_id] for run_id in beside)]
-    choice = RoadChoice(tuple(each.run_id for each in runs), picture.step)
+    choice = RoadChoice(tuple(str(each.path) for each in runs), step)
     names = distinct_names(runs)
     if len(runs) > 1:
         widgets.show_scene(choice, ROAD_HEIGHT)
         for column, each in zip(st.columns(len(runs)), runs, strict=True):
             with column, st.container(border=True):
-                _flat_map(each, picture.step, SMALL_HEIGHT, names[each.run_id])
+                _flat_map(each, step, SMALL_HEIGHT, names[each.run_id])
     else:
         left, right = st.columns([5, 4])
         with left:
             widgets.show_scene(choice, ROAD_HEIGHT)
         with right:
-            _flat_map(run, picture.step, ROAD_HEIGHT)
+            _flat_map(run, step, ROAD_HEIGHT)
     _export(runs, list(names.values()))
     widgets.link_to("curves", "All runs of this task, side by side")
     for each in runs[1:]:
@@ -339,11 +339,11 @@ def _flat_map(run: RunReader, step: int, height: int, name: str = "") -> None:
         return
     if name:
         st.markdown(f"**{text.markdown(name)}**, step {picture.step:,}")
-    of_step = {at: found for at in road.steps(run) if (found := road.picture(run, at))}
+    of_step = {at: cells(found) for at in road.steps(run) if (found := road.picture(run, at))}
     chart(
         road_map(picture, session.mode(), height), f"road map {run.run_id}",
         "mean weight over the map, with road and trajectories",
-        follow=Follow(steps=list(of_step), trace=[cells(found) for found in of_step.values()]),
+        follow=Follow(trace=of_step),
     )  # fmt: skip
 
 

@@ -252,7 +252,7 @@ def _scenes(
         for title, side in zip(titles, (left, right), strict=True)
     )
     if buffer.has_robot(run):
-        widgets.show_scene(StatesChoice(run.run_id, groups), STAGE_HEIGHT, compact=True)
+        widgets.show_scene(StatesChoice(str(run.home), groups), STAGE_HEIGHT)
         st.caption("Click the panel's title to open it and play the moments.")
         return
     heavy, light = (buffer.observations_around(run, numbers) for _, numbers, _ in groups)
@@ -306,7 +306,9 @@ def row_table(run: RunReader, rows: Rows, index: np.ndarray) -> pd.DataFrame:
         "episode": rows.episode[index],
         "step of the episode": rows.episode_step[index] + 1,
         "return of the episode": rows.episode_return[index],
-        "policy version": rows.version[index] if rows.policies_known else "not known",
+        "policy version": rows.version[index]
+        if buffer.policies_known(rows.version)
+        else "not known",
         "reward": part.reward,
         "terminal": np.asarray(part.terminated) != 0,
     }

@@ -68,7 +68,7 @@ def draw(scope: Scope) -> None:
         st.warning("This replay buffer cannot be read.")
         return
     else:
-        found = {one.name: one for one in weighings.all_of_run(run, rows)}
+        found = {one.name: one for one in weighings.all_of_run(run)}
         if found:
             shown = weighings.titles([*found.values()])
             chosen = address.choose_one(

@@ -61,7 +61,7 @@ def draw(run: RunReader, rows: Rows, source: Source, row: int | None) -> None:
         _row_picker(rows)
         if row is None:
             return
-        found = reasons.why_of(run, rows, source)
+        found = reasons.why_of(run, source)
         numbers = {
             "weight": number(float(rows.weight[row]), 3),
             "heavier than": percent(float((rows.weight < rows.weight[row]).mean())),
@@ -195,7 +195,7 @@ def _offer_weighing(run: RunReader, step: int | None) -> None:
 
 def brush(run: RunReader, source: Source, mask: Mask) -> None:
     """Start a brush of the chosen region, and show earlier ones."""
-    brushes = weighings.of_run(run, buffer.length(run), brush=True)
+    brushes = weighings.of_run(run, brush=True)
     regions = {one.name: one for one in map(weighings.brushed, brushes) if one is not None}
     with st.container(border=True):
         st.markdown("**What if this region counted more, or less?**")

@@ -109,8 +109,8 @@ def _replay(
         words = "left out of its small copy"
     st.caption(f"{text.markdown(name)}, {words}")
     if before:
-        choice = ReplayChoice(run.run_id, before[-1], 0, 0, DEFAULT_HORIZON, played, "start")
-        widgets.show_scene(choice, SIDE_HEIGHT, part, compact=True)
+        choice = ReplayChoice(str(run.path), before[-1], 0, 0, DEFAULT_HORIZON, played, "start")
+        widgets.show_scene(choice, SIDE_HEIGHT, part)
 
 
 def _film(scope: Scope) -> None:

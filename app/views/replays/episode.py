@@ -139,12 +139,12 @@ def _play(
             request, command, at = st.session_state.get(REQUEST, NO_REQUEST)
             state = st.session_state
             choice = ReplayChoice(
-                run.run_id, replay.step, index, at, horizon, request=request, command=command,
+                str(run.path), replay.step, index, at, horizon, request=request, command=command,
                 speed=state.get("replay speed", REAL_TIME),
                 ghost=bool(state.get("replay ghost", True)),
                 follow=bool(state.get("replay follows", True)),
             )  # fmt: skip
-            widgets.show_scene(choice, STAGE_HEIGHT, PART, compact=True)
+            widgets.show_scene(choice, STAGE_HEIGHT, PART)
             _controls(replay, playing=playing)
         else:
             with st.container(border=True):

@@ -4,7 +4,6 @@ import base64
 import queue
 import re
 import socket
-import threading
 from collections.abc import Iterator
 from multiprocessing.connection import Client
 from pathlib import Path
@@ -16,8 +15,7 @@ import viser
 import viser.transforms
 import zstandard
 from common import present
-from kernel import wait_for
-from studio_pages import answers
+from studio_pages import hear
 from studio_runs import ROAD_MLE, ROAD_TOM
 
 from app.data import road
@@ -28,7 +26,6 @@ from app.scenes.control import (
     RoadChoice,
     Selection,
     StatesChoice,
-    listen,
     send_selection,
 )
 from app.scenes.road import FRAME_S, LAYERS, REST_S, STRIDE, RoadScene, as_html
@@ -125,8 +122,7 @@ def told(tmp_path: Path) -> tuple[str, queue.Queue[tuple[str, Selection]]]:
             raise IndexError(page)
         told.put((page, selection))
 
-    threading.Thread(target=listen, args=(path, select, lambda _: None), daemon=True).start()
-    wait_for(lambda: answers(path))
+    hear(path, select)
     return path, told
 
 
@@ -141,7 +137,7 @@ def test_a_page_reaches_the_scene_server_and_messages_that_fail_do_not_end_it(
         ReplayChoice("a", 1, 2, 3, 4, command="play"),
         StatesChoice("a", (("heaviest", (1, 2), (2.5, 3.0)), ("lightest", (), ()))),
     )
-    wanted = [("page", Selection(choice, "dark", compact=True)) for choice in choices]
+    wanted = [("page", Selection(choice, "dark")) for choice in choices]
     for page, selection in wanted:
         send_selection(path, page, selection)
     assert [heard.get(timeout=10) for _ in wanted] == wanted

@@ -83,9 +83,11 @@ def test_panels_follow_the_timeline_with_every_fit(store: Path) -> None:
     on_map, on_profile, *others = follows(app)
     assert on_map is not None
     assert on_profile is not None
-    assert on_profile["steps"] == [fit["env_step"] for fit in fits]
+    assert [*map(int, on_profile["trace"])] == [fit["env_step"] for fit in fits]
     bins = np.array([fit["bins"] for fit in fits])
-    assert np.array(on_profile["trace"]) == pytest.approx(bins, rel=5e-3, abs=1e-6)
+    shown = [(of["customdata"], of["y"]) for of in on_profile["trace"].values()]
+    assert np.array([own for own, _ in shown]) == pytest.approx(bins, rel=5e-3, abs=1e-6)
+    assert np.array([y for _, y in shown]) == pytest.approx(bins.clip(FLOOR), rel=5e-3)
     assert on_map["cursor"]  # the only line at the timeline's step
     assert not figures(app)[MAP]["layout"].get("shapes")
     assert others == [None] * len(others)
@@ -137,7 +139,8 @@ def test_parts_of_the_buffer_without_rows_have_no_weight(own: Path) -> None:
     assert not any("NaN" in json.dumps(json.loads(given)) for given in protos)
     on_profile = follows(app)[PROFILE]
     assert on_profile is not None
-    assert on_profile["trace"][0][3] == 0
+    first = next(iter(on_profile["trace"].values()))
+    assert (first["customdata"][3], first["y"][3]) == (0, FLOOR)
 
 
 @pytest.mark.parametrize("bins", [3, 7, 64, 100])

@@ -55,7 +55,7 @@ def test_a_brush_is_a_weighing_whose_region_is_multiplied(made: Path, store: Pat
 
 def test_the_page_shows_what_was_measured(brushed: Path) -> None:
     run = info(brushed, PENDULUM_TOM)
-    (found,) = map(weighings.brushed, weighings.of_run(run, 400, brush=True))
+    (found,) = map(weighings.brushed, weighings.of_run(run, brush=True))
     assert found is not None
     report = json.loads((brushed / "weighings/made/report.json").read_text())
     of = {(r["factor"], r["seed"]): r["errors"] for r in report["results"]}
@@ -70,8 +70,8 @@ def test_the_page_shows_what_was_measured(brushed: Path) -> None:
 
 def test_a_brush_is_not_shown_as_several_learners_on_the_buffer(brushed: Path) -> None:
     run = info(brushed, PENDULUM_TOM)
-    assert weighings.of_run(run, 400) == []
-    assert [one.name for one in weighings.of_run(run, 400, brush=True)] == ["made"]
+    assert weighings.of_run(run) == []
+    assert [one.name for one in weighings.of_run(run, brush=True)] == ["made"]
     assert weighings.weighed_run_ids(str(brushed)) == set()
     app = draw("attention", part="Every learner on one buffer", run=PENDULUM_TOM, weighed="made")
     assert not figures(app)
@@ -107,7 +107,7 @@ def test_a_small_copy_keeps_the_brush(made: Path, store: Path, tmp_path: Path) -
     region = read_table(copy / "weights.parquet")["region"].to_numpy()
     assert region.dtype == np.bool_
     assert region.tolist() == [False] * 150 + [True] * 150
-    (brush,) = weighings.of_run(info(there, PENDULUM_TOM), 400, brush=True)
+    (brush,) = weighings.of_run(info(there, PENDULUM_TOM), brush=True)
     assert weighings.brushed(replace(brush, path=copy)) is not None
 
 
@@ -129,7 +129,7 @@ def test_every_factor_has_a_point_and_what_was_not_measured_has_none() -> None:
 
 def test_the_weights_of_a_brush_are_named_by_file_and_column(brushed: Path) -> None:
     run = info(brushed, PENDULUM_TOM)
-    (weighing,) = weighings.of_run(run, 400, brush=True)
+    (weighing,) = weighings.of_run(run, brush=True)
     sources = buffer_map.sources(run)
     assert sources[str(FIT)].option == ""
     brush = sources["region x 4 s0, made"]

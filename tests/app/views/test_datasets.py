@@ -12,13 +12,12 @@ from studio_pages import Show, draw, figures, in_buffer, on_one_buffer
 
 from app.data import weighings
 from app.router import VIEWS, View
-from app.scenes.states import find_run
 from tom.cli import main
 from tom.envs import task
-from tom.errors import UserError
 from tom.policy.collect import footprint
 from tom.policy.stored import UniformPolicy
 from tom.record.files import read_json
+from tom.record.reader import RunReader
 
 ENV = "inverted-pendulum"
 N = 300
@@ -55,7 +54,8 @@ def test_rows_that_were_weighed_twice_are_one_data_set(weighed: Path):
     found = weighings.datasets(str(weighed))
     assert [one.run_id.rpartition("-")[0] for one in found] == ["my buffer", "other"]
     assert [Path(one.path).name for one in found] == ["second", "third"]
-    assert {one.name for one in weighings.of_run(found[0], N)} == {"first", "second"}
+    assert RunReader(found[0].home).buffer_length() == N  # as the 3D scene reads it
+    assert {one.name for one in weighings.of_run(found[0])} == {"first", "second"}
 
 
 def test_each_learners_weights_of_the_data_are_shown(weighed: Path):
@@ -77,7 +77,7 @@ def test_the_command_on_the_page_weighs_the_same_rows_again(
     words = shlex.split(next(code.value for code in app.code if "/weighings/" in code.value))
     monkeypatch.chdir(tmp_path)  # where no file of the user's lies
     assert main([*words[1:], "--footprint", "50", "--out", "again"]) == 0
-    found = weighings.of_run(weighings.dataset(str(weighed), named(weighed, "my buffer")), N)
+    found = weighings.of_run(weighings.datasets(str(weighed))[0])
     (before,) = (one.path for one in found if one.name == "first")
     old, new = read_json(before / "report.json"), read_json(tmp_path / "again" / "report.json")
     same = ("data", "rows_digest", "env", "policy", "preset", "rows")
@@ -97,11 +97,3 @@ def test_weights_that_cannot_be_read_are_said(weighed: Path, tmp_path: Path, sho
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
 def test_pages_do_without_any_run(view: View):
     draw(view.name)
-
-
-def test_the_3d_scene_finds_the_rows(weighed: Path):
-    run = find_run(str(weighed), named(weighed, "my buffer"))
-    assert (run.path.name, run.env) == ("second", ENV)
-    assert len(run.buffer()[0]) == N
-    with pytest.raises(UserError, match="no data set"):
-        find_run(str(weighed), "my buffer-00000000")

@@ -5,16 +5,14 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
-from threading import Thread
 
 import numpy as np
 import pytest
 import torch
 from common import present
-from kernel import wait_for
 from numpy.typing import NDArray
 from streamlit.testing.v1 import AppTest
-from studio_pages import Show, answers, array, draw, figures, in_buffer, map_of, metrics, trace
+from studio_pages import Show, array, draw, figures, hear, in_buffer, map_of, metrics, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info, trains_elsewhere
 
 from app.data import buffer, buffer_map, cache, columns, why
@@ -45,9 +43,7 @@ def rows(store: Path) -> Rows:
 def test_the_robots_are_those_of_the_timelines_fit(store: Path, tmp_path: Path, show: Show) -> None:
     told: SimpleQueue[control.Selection] = SimpleQueue()
     socket = str(tmp_path / "control")
-    heard = socket, lambda _, selection: told.put(selection), lambda _: None
-    Thread(target=control.listen, args=heard, daemon=True).start()
-    wait_for(lambda: answers(socket))
+    hear(socket, lambda _, selection: told.put(selection))
     show(store, port=1, folder=str(tmp_path))
     fits = RunReader(store / PENDULUM_TOM).snapshot_steps()
     app = in_buffer(run=PENDULUM_TOM, step=str(fits[0]))
@@ -98,6 +94,11 @@ def selected(store: Path, *where: str, outline: str = "", fit: int = FIT) -> lis
     source = buffer_map.sources(run)[str(fit)]
     mask = buffer_map.selection_mask(run, source, Selection.of(where, [outline]))
     return (source.first + np.flatnonzero(mask)).tolist()
+
+
+def published(url: str) -> NDArray[np.uint16]:
+    """The array that the browser gets at an address of the page."""
+    return np.frombuffer(present(cache.published_array(url.rpartition("/")[2])), np.uint16)
 
 
 def test_an_outline_holds_what_is_inside() -> None:
@@ -163,17 +164,12 @@ def test_an_outline_keeps_its_rows_on_every_plane(rows: Rows, store: Path) -> No
 
 def test_the_browser_gets_each_array_of_the_buffer(rows: Rows, store: Path) -> None:
     given = map_of(in_buffer(run=PENDULUM_TOM, step=str(FIT)))
-
-    def array(url: str) -> NDArray[np.uint16]:
-        content = present(cache.published_array(url.rpartition("/")[2]))
-        return np.frombuffer(content, np.uint16)
-
     [source] = [one for one in given["sources"] if one["step"] == FIT]
     assert (source["first"], source["count"]) == (rows.first, FIT)
-    assert array(source["url"]).tolist() == columns.weight_codes(rows.weight).tolist()
+    assert published(source["url"]).tolist() == columns.weight_codes(rows.weight).tolist()
     recorded = RunReader(store / PENDULUM_TOM).buffer()[0]
     [angle] = [one for one in given["columns"] if one["name"] == "pole angle"]
-    back = columns.decode(array(angle["url"]), Column("", angle["low"], angle["high"]))
+    back = columns.decode(published(angle["url"]), Column("", angle["low"], angle["high"]))
     known = np.asarray(recorded.obs)[:, 1].clip(angle["low"], angle["high"])
     assert back == pytest.approx(known, abs=1e-3)
     last = max(one["step"] for one in given["sources"])
@@ -190,8 +186,7 @@ def test_a_training_may_replace_its_newest_fit_before_the_browser_asks_for_it(ow
     (run / layout.policy(newest["step"])).unlink(missing_ok=True)
     urls = [newest["url"], newest["distance"], *(one["url"] for one in given["planes"][0]["axes"])]
     for url in urls:
-        codes = np.frombuffer(present(cache.published_array(url.rpartition("/")[2])), np.uint16)
-        assert len(codes) >= newest["count"]
+        assert len(published(url)) >= newest["count"]
     outline = f"{given['planes'][0]['key']} 0,-99;99,-99;99,99;0,99"
     earlier = given["sources"][0]
     assert 0 < len(selected(own, outline=outline, fit=earlier["step"])) < earlier["count"]
@@ -202,8 +197,7 @@ def test_map_and_file_have_one_policy_distance_that_of_the_fits_own_policy(store
     given = {one["step"]: one for one in map_of(in_buffer(run=PENDULUM_TOM))["sources"]}
     distances = []
     for fit in RunReader(store / PENDULUM_TOM).policy_steps():
-        content = present(cache.published_array(given[fit]["distance"].rpartition("/")[2]))
-        far = columns.decode(np.frombuffer(content, np.uint16), columns.DISTANCE)
+        far = columns.decode(published(given[fit]["distance"]), columns.DISTANCE)
         saved = table(run, buffer_map.sources(run)[str(fit)])["policy_distance"].to_numpy()
         assert far == pytest.approx(saved, abs=1e-4)
         near = selected(store, "policy distance ..0.5", fit=fit)
@@ -304,7 +298,7 @@ def of_fit(run: RunReader, fit: int = FIT) -> tuple[Rows, why.Why]:
 def asked(run: RunReader, fit: int = FIT) -> tuple[Rows, why.Why | str]:
     source = buffer_map.sources(run)[str(fit)]
     rows = present(buffer.weighed_rows(run, source.weight, source.end))
-    return rows, why.why_of(run, rows, source)
+    return rows, why.why_of(run, source)
 
 
 def test_a_kept_fit_has_the_terms_of_its_weights(store: Path) -> None:
@@ -318,7 +312,7 @@ def test_a_weighing_has_the_terms_of_its_weights(weighed: Path) -> None:
     run = info(weighed, PENDULUM_TOM)
     (source,) = buffer_map.weighing_sources(run).values()
     rows = present(buffer.weighed_rows(run, source.weight, source.end))
-    found = why.why_of(run, rows, source)
+    found = why.why_of(run, source)
     assert isinstance(found, why.Why)
     for row in range(0, len(rows), 17):
         assert found.sum_of(row).weight == pytest.approx(source.weight[row], abs=1e-5)

@@ -46,11 +46,10 @@ def weighed(store: Path, results: Path, tmp_path: Path, show: Show) -> Path:
 
 def test_a_weighing_is_found_by_its_run(weighed: Path) -> None:
     run = info(weighed.parents[1], PENDULUM_TOM)
-    (found,) = weighings.of_run(run, ROWS)
+    (found,) = weighings.of_run(run)
     assert (found.name, found.report["policy"], found.missing(ROWS)) == ("made", PENDULUM_TOM, "")
     assert "tom.q_steps 30" in found.settings
-    assert weighings.of_run(info(weighed.parents[1], "pendulum-mle-0"), ROWS) == []
-    assert weighings.of_run(run, ROWS - 1) == []
+    assert weighings.of_run(info(weighed.parents[1], "pendulum-mle-0")) == []
     of_step = replace(found, path=weighed.parent / "early", report={**found.report, "step": 1200})
     assert "1,200" in weighings.titles([found, of_step])["early"]
     twin = replace(found, path=weighed.parent / "twin")
@@ -102,7 +101,7 @@ def test_a_weighing_of_a_run_that_went_on_is_of_its_first_rows(weighed: Path) ->
     assert trace(figures(app)[0], meta="tom")
     assert any(f"first {ROWS} of now {2 * ROWS} trans" in words.value for words in app.caption)
     run = info(weighed.parents[1], PENDULUM_TOM)
-    [found] = weighings.of_run(run, 2 * ROWS)
+    [found] = weighings.of_run(run)
     rows = buffer.weighed_rows(run, found.weights()["tom", 0], found.end)
     assert rows is not None
     assert (rows.first, len(rows)) == (0, ROWS)
