@@ -7,10 +7,8 @@ import numpy as np
 import streamlit as st
 
 from app import session, text
-from app.data import answer, buffer, readers, road
-from app.data.answer import Answer, Side, newest_share
-from app.data.cache import get_or_make
-from app.data.exams import exams_of
+from app.data import buffer, readers, road
+from app.data.cache import cached, get_or_make
 from app.data.run_names import task_title
 from app.figures.base import horizontal_line, step_axis_title
 from app.figures.curves import group_curves
@@ -21,8 +19,10 @@ from app.parts.scope import Scope
 from app.parts.widgets import has_uniform_learner
 from app.theme import learner_label
 from app.views.answer import numbers
-from tom.analysis import curves
+from tom.analysis import answer, curves
+from tom.analysis.answer import Answer, Contrast, Side, newest_share
 from tom.analysis.curves import Curve, Group
+from tom.analysis.exams import exams_of
 from tom.analysis.scores import counted_from
 from tom.config import SAC_ALONE
 from tom.envs import ROAD
@@ -212,7 +212,7 @@ def _map(runs: Sequence[RunReader]) -> Chart | None:
 def _side(title: str, loops: Sequence[RunReader]) -> Side:
     runs = [readers.first_weight_reader(run) for run in loops]
     seen = (
-        answer.contrast(run, run.snapshot_steps()[-1])  # of the last kept fit
+        _contrast(run, run.snapshot_steps()[-1])  # of the last kept fit
         for run in runs
         if run.snapshot_steps() and buffer.has_rows(run) and not has_uniform_learner(run)
     )
@@ -231,3 +231,8 @@ def _side(title: str, loops: Sequence[RunReader]) -> Side:
         counted_from(frames),
         next(filter(None, seen), None),
     )
+
+
+@cached("buffer", "snapshot")
+def _contrast(run: RunReader, step: int) -> Contrast | None:
+    return answer.contrast(readers.fresh_reader(run), step)

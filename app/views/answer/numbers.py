@@ -11,7 +11,6 @@ from app import text
 from app.data import buffer, readers
 from app.data.buffer import Floats
 from app.data.cache import get_or_make
-from app.data.exams import Exams, Ranking, Standing, exams_of, ranking
 from app.data.run_names import distinct_names
 from app.figures.curves import styles_of
 from app.figures.exams import errors_by_age, footprint_error_return
@@ -19,6 +18,7 @@ from app.parts import widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from tom.analysis import statistics
+from tom.analysis.exams import Exams, Ranking, Standing, exams_of, ranking
 from tom.analysis.scores import counted_from, interval
 from tom.analysis.settings import kinds_of
 from tom.config import SAC_ALONE

@@ -8,9 +8,7 @@ import streamlit as st
 
 from app import session, text
 from app.data import buffer, readers, road, weighings
-from app.data.answer import newest_share
 from app.data.cache import get_or_make
-from app.data.exams import at_fit
 from app.data.run_names import distinct_names, full_names
 from app.data.weighings import Dataset
 from app.figures.road import cells, road_map
@@ -22,7 +20,9 @@ from app.parts.scope import Scope
 from app.scenes.control import RoadChoice
 from app.theme import learner_label
 from app.views.attention import in_buffer, learners
+from tom.analysis.answer import newest_share
 from tom.analysis.curves import curve_points
+from tom.analysis.exams import at_fit
 from tom.envs import ROAD
 from tom.exams import informative
 from tom.learners import LEARNERS

@@ -18,7 +18,6 @@ from PIL import Image
 from studio_pages import in_browser, saved
 
 from app import theme
-from app.data.exams import Exams
 from app.figures.curves import GAP, Axes, group_curves, label_ends, spread_apart, styles_of
 from app.figures.exams import footprint_error_return
 from app.figures.paper import KINDS, SYMBOLS, WIDTHS, paper_figure
@@ -26,6 +25,7 @@ from app.figures.statistics import improvement
 from app.figures.weights import over_fits
 from app.figures.why import waterfall
 from tom.analysis.curves import Curve, Group, aggregate
+from tom.analysis.exams import Exams
 from tom.analysis.why import Sum
 from tom.record.decode import Profiles
 

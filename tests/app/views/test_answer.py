@@ -11,8 +11,8 @@ import pytest
 from studio_pages import Show, array, draw, figures, plain, trace
 
 import tom
-from app.data import answer
-from app.data.answer import Contrast, Side
+from tom.analysis import answer
+from tom.analysis.answer import Contrast, Side
 from tom.analysis.curves import Curve
 from tom.envs import ENVS
 from tom.record.decode import Profiles

@@ -23,9 +23,9 @@ from studio_pages import (
 from studio_runs import PENDULUM_TOM, altered, info, set_status
 
 from app.data import buffer
-from app.data.exams import Exams, ranking
 from app.views.answer.numbers import alternating_groups, split_by_length, table, verdict
 from app.views.attention import difference_from_recorded, footprint_sentence
+from tom.analysis.exams import Exams, ranking
 from tom.readable import UNKNOWN, short
 from tom.record import checkpoint
 from tom.record.reader import RunReader

@@ -11,16 +11,16 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from app.data import buffer
-from app.data.cache import cached
-from app.data.exams import Exams, last_steps, medians, ranking
 from tom.analysis import planes, scores, statistics
 from tom.analysis.curves import Curve
+from tom.analysis.exams import Exams, last_steps, medians, ranking
 from tom.analysis.statistics import RANKED, Interval
+from tom.envs import ROAD
+from tom.errors import UserError
 from tom.readable import percent, score, short
 from tom.record.decode import Profiles
 from tom.record.reader import RunReader
-from tom.record.task_record import dimension_names
+from tom.record.task_record import dimension_names, task_of
 
 Floats = NDArray[np.float64]
 Word = Literal["yes", "no", "unclear", "unknown"]
@@ -55,15 +55,20 @@ class Contrast:
     """the share of the log weights that the contrast plane explains (`tom.analysis.planes`)"""
 
 
-@cached("buffer", "snapshot")
 def contrast(run: RunReader, step: int) -> Contrast | None:
-    """That of the fit at `step`; None if its buffer is not kept."""
-    weighed = buffer.rows(run, step)
-    if weighed is None:
+    """That of the fit at `step`, whose weights are stored; None if its buffer is not kept."""
+    weight, record = run.snapshot(step)["weight"].to_numpy(np.float64), run.buffer()[0]
+    end = run.profiles().rows_at(step)
+    if not 0 < len(weight) <= end <= len(record):
         return None
-    names = dimension_names(run.env, weighed.rows, buffer.observation_names(run))
-    plane = planes.contrast_of(weighed.rows, weighed.weight, names)
-    share = planes.explained_share(planes.of_rows(plane, weighed.rows), weighed.weight)
+    rows = record[end - len(weight) : end]
+    try:
+        described = () if run.env == ROAD else task_of(run).obs_names
+    except UserError:  # a task whose code is not here
+        described = ()
+    names = dimension_names(run.env, rows, described)
+    plane = planes.contrast_of(rows, weight, names)
+    share = planes.explained_share(planes.of_rows(plane, rows), weight)
     largest = planes.loadings(plane.axes[:, 0], planes.feature_names(*names))
     return Contrast(run.seed, step, largest, share)
 
