@@ -39,6 +39,7 @@ from app.theme import (
     shades,
 )
 from tom.analysis.curves import GRID, Curve, Group, smoothed
+from tom.analysis.grouping import titles_of
 from tom.analysis.settings import USUAL, Kind, natural_sort_key, number
 from tom.envs import ROAD
 from tom.learners import SUBJECT
@@ -79,9 +80,10 @@ def styles_of(
     """
     groups = set(groups)
     kinds = sorted({kind for _, kind in groups})
+    titles = titles_of(kinds)
     if by in (USUAL, "learner"):
         offline = {kind for env, kind in groups if env == ROAD}  # where the paper's is the main one
-        return {kind: _style(kind, _title(kind, kinds), kind in offline) for kind in kinds}
+        return {kind: _style(kind, titles[kind], kind in offline) for kind in kinds}
     values = [kind for kind in kinds if not kind.learner]
     values.sort(key=lambda kind: natural_sort_key(" ".join(kind)))
     # Seeds are numbers without a meaning.
@@ -89,22 +91,14 @@ def styles_of(
     colours = ramp(len(values), mode) if ordered else QUALITATIVE
     pairs = [(colour, dash) for dash in DASHES for colour in colours]
     styles = {
-        kind: Style(_title(kind, values), *style, SYMBOLS[i % len(SYMBOLS)])
+        kind: Style(titles[kind], *style, SYMBOLS[i % len(SYMBOLS)])
         for i, (kind, style) in enumerate(zip(values, cycle(pairs), strict=False))
     }
     learnt = [kind for kind in kinds if kind.learner]
     return styles | {
-        kind: Style(_title(kind, learnt), NEUTRAL, dash, learner_symbol(kind.learner))
+        kind: Style(titles[kind], NEUTRAL, dash, learner_symbol(kind.learner))
         for kind, dash in zip(learnt, cycle(DASHES), strict=False)
     }
-
-
-def _title(kind: Kind, among: Iterable[Kind]) -> str:
-    """The learner, such as `TOM`, then the preset if its learner has several, and the settings."""
-    presets = {other.preset for other in among if other.learner == kind.learner}
-    preset = kind.preset if len(presets) > 1 or not kind.learner else ""
-    name = " ".join(filter(None, (learner_label(kind.learner), preset)))
-    return ", ".join(filter(None, (name, kind.variant)))
 
 
 def _style(kind: Kind, title: str, offline: bool) -> Style:

@@ -12,15 +12,16 @@ from app.data import buffer, readers
 from app.data.buffer import Floats
 from app.data.cache import get_or_make
 from app.data.run_names import distinct_names
-from app.figures.curves import styles_of
 from app.figures.exams import errors_by_age, footprint_error_return
 from app.parts import widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from tom.analysis import statistics
 from tom.analysis.exams import Exams, Ranking, Standing, exams_of, ranking
+from tom.analysis.grouping import titles_of
 from tom.analysis.scores import counted_from, interval
 from tom.analysis.settings import kinds_of
+from tom.analysis.weight_readers import first_weight_reader
 from tom.config import SAC_ALONE
 from tom.readable import UNKNOWN, percent, short
 from tom.record.reader import RunReader
@@ -96,7 +97,7 @@ def _exams(runs: Sequence[RunReader]) -> None:
         return exams, ranking(exams, counted_from(map(readers.metrics, runs)))
 
     version = tuple(
-        (run.path, run.version("metrics"), readers.first_weight_reader(run).version("metrics"))
+        (run.path, run.version("metrics"), first_weight_reader(run).version("metrics"))
         for run in runs
     )
     key = "exams", *(run.path for run in runs)
@@ -126,8 +127,8 @@ def _exams(runs: Sequence[RunReader]) -> None:
 def group_names(runs: Sequence[RunReader]) -> dict[str, str]:
     """By run id the name of its group: its learner, and what distinguishes it from other groups."""
     kinds = kinds_of(runs)
-    groups = styles_of((run.env, kinds[run.run_id]) for run in runs)
-    return {run_id: groups[kind].title for run_id, kind in kinds.items()}
+    titles = titles_of(kinds.values())
+    return {run_id: titles[kind] for run_id, kind in kinds.items()}
 
 
 def verdict(result: Ranking) -> str:

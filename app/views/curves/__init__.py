@@ -19,12 +19,14 @@ from app.figures.base import step_axis_title
 from app.figures.curves import group_curves, label_ends, short_title, single_run_group
 from app.parts import address, shortlinks, timeline, widgets
 from app.parts.plot import FigureJson, Follow, Point, View, chart
-from app.parts.scope import CUT_SHORT, LINES, Scope
+from app.parts.scope import Scope
 from app.views.curves import measure, numbers, runs
 from app.views.curves.measure import Measure
 from tom.analysis import statistics
 from tom.analysis.curves import Curve, Group
+from tom.analysis.grouping import CUT_SHORT, SHOWN_GROUPS
 from tom.analysis.scores import common_step
+from tom.analysis.weight_readers import first_weight_reader, weight_readers
 from tom.config import SAC_ALONE
 from tom.metrics import describe
 from tom.plugins import CHARTS
@@ -84,9 +86,9 @@ def _curves(scope: Scope, row: DeltaGenerator) -> None:
         how = measure.choose(recorded)
     alive = any(run.status.alive for run in scope.runs)
     st.fragment(_panels, run_every=REFRESH_S if alive else None)(scope, chosen, how)
-    run = scope.choose_run(lambda run: bool(readers.weight_readers(run)), widgets.interest_key)
+    run = scope.choose_run(lambda run: bool(weight_readers(run)), widgets.interest_key)
     if run is not None and how.axes.x == measure.STEPS:
-        fits = readers.profiles(readers.first_weight_reader(run)).env_step.tolist()
+        fits = readers.profiles(first_weight_reader(run)).env_step.tolist()
         evaluations = run.evaluation_steps()
         if stops := sorted({*fits, *evaluations}):
             timeline.draw(fits, evaluations, timeline.chosen_step(stops))
@@ -171,7 +173,7 @@ def _figure(
             groups, metric, PANEL_HEIGHT, singles=how.singles, axes=how.axes, window=how.window,
             styles=styles,
         )  # fmt: skip
-        if len(groups) <= LINES:
+        if len(groups) <= SHOWN_GROUPS:
             label_ends(figure, groups, styles, how.axes)
         return FigureJson.of(figure)
 

@@ -14,6 +14,7 @@ from app.parts import address
 from app.parts.plot import Part, View
 from tom.analysis.curves import Band, Curve, Group, Statistic, curve_points, groups, points_against
 from tom.analysis.settings import Kind
+from tom.analysis.weight_readers import first_weight_reader
 from tom.record.reader import RunReader
 
 RETURN, RUNNING_MAXIMUM = "return", "running maximum"
@@ -97,7 +98,7 @@ def cache_key(runs: Sequence[RunReader], kinds: Mapping[str, Kind]) -> tuple[obj
     """What the curves and groups of runs depend on, for the key of a cache."""
     return tuple(
         (run.path, run.status.total, run.version("metrics"),
-         readers.first_weight_reader(run).version("metrics"), kinds[run.run_id])
+         first_weight_reader(run).version("metrics"), kinds[run.run_id])
         for run in runs
     )  # fmt: skip
 

@@ -147,7 +147,9 @@ def side(returns: list[float], newest: float = 0.5, *, uniform: bool = False) ->
         Curve(str(i), "hopper", "tom", "paper", i, np.array([100]), np.array([value]))
         for i, value in enumerate(returns)
     ]
-    return Side("ours", uniform, [profiles] * len(returns), curves, (), -np.inf, None)
+    return Side(
+        "ours", "hopper", uniform, False, [profiles] * len(returns), curves, (), (), -np.inf, None
+    )
 
 
 def test_five_seeds_that_all_win_help_and_four_cannot_tell():
@@ -182,7 +184,7 @@ def test_where_it_looks(newest: float, word: str):
 @pytest.mark.parametrize(("ratio", "word"), [(88.0, "yes"), (np.nan, "yes"), (0.5, "no")])
 def test_road_and_rocks_has_a_road_and_no_age(ratio: float, word: str):
     frame = pd.DataFrame({"weights/road_share": [0.99, np.nan], "weights/road_ratio": [ratio, 1]})
-    found = answer.on_road("ours", [frame, frame])
+    found = answer.where(replace(side([]), env="road-and-rocks", metrics=[frame, frame]))
     assert found.word == word
     assert "99 %" in found.sentence
     assert ("88" in found.sentence) == (ratio == 88)
