@@ -1,6 +1,7 @@
 """Answer: its three sentences hold the numbers that the runs' files give, computed another way."""
 
 import json
+import re
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -12,9 +13,11 @@ from studio_pages import Show, array, draw, figures, plain, trace
 
 import tom
 from tom.analysis import answer
-from tom.analysis.answer import Contrast, Side
+from tom.analysis.answer import QUESTIONS, Contrast, Side
 from tom.analysis.curves import Curve
+from tom.cli import main
 from tom.envs import ENVS
+from tom.errors import BAD_INPUT
 from tom.record.decode import Profiles
 from tom.record.files import read_json_lines
 
@@ -136,6 +139,22 @@ def test_no_part_stands_out_where_no_plane_explains_the_weights():
     looks = [answer.where(replace(side([1.0]), contrast=replace(seen, explained=share))).sentence
              for share in (0.3, 0.05)]  # fmt: skip
     assert ["speed" in sentence for sentence in looks] == [True, False]
+
+
+@pytest.mark.parametrize("task", ["hopper", "road-and-rocks"])
+def test_the_terminal_says_what_the_page_says(
+    task: str, show: Show, capsys: pytest.CaptureFixture[str]
+):
+    show(RUNS)
+    shown = [plain(one.value) for one in draw("answer", task=task).markdown]
+    said = [re.sub(r"\[([^]]+)\]\(glossary[^)]*\)", r"\1", words) for words in shown]
+    assert main(["answer", "--store", str(RUNS), "--env", task, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert list(told["answers"]) == list(QUESTIONS)
+    for found in told["answers"].values():
+        assert any(words.endswith(found["verdict"]) for words in said)
+        assert found["sentence"] in said
+    assert main(["answer", "--store", str(RUNS), "--env", task, "--one", "no group"]) == BAD_INPUT
 
 
 def side(returns: list[float], newest: float = 0.5, *, uniform: bool = False) -> Side:
