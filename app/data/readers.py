@@ -16,7 +16,7 @@ from tom.analysis.weight_readers import first_weight_reader
 from tom.errors import UserError
 from tom.record import manage
 from tom.record.decode import Profiles
-from tom.record.reader import RunReader
+from tom.record.reader import RunReader, Version
 from tom.record.status import DEAD_AFTER_S
 from tom.record.store import Store
 
@@ -113,6 +113,11 @@ def metrics(run: RunReader) -> pd.DataFrame:
     found = _part(live, "metrics")[0]
     more = [name for name in found if name == "env_step" or name not in own]
     return own.merge(found[more], "outer", "env_step")
+
+
+def metrics_version(run: RunReader) -> tuple[Version, Version]:
+    """A value that changes whenever `metrics` does. Reads no metrics."""
+    return run.version("metrics"), first_weight_reader(run).version("metrics")
 
 
 def profiles(run: RunReader) -> Profiles:

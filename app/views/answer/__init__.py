@@ -19,7 +19,7 @@ from app.parts.scope import Scope
 from app.theme import learner_label
 from app.views.answer import numbers
 from tom.analysis import answer, curves
-from tom.analysis.answer import QUESTIONS, Answer, Contrast, Side, newest_share
+from tom.analysis.answer import QUESTIONS, Contrast, Side, newest_share
 from tom.analysis.curves import Curve, Group
 from tom.analysis.grouping import has_uniform_learner, usual_other
 from tom.analysis.weight_readers import first_weight_reader
@@ -41,7 +41,6 @@ ON_ROAD = ("attention", "weight on the map, of one run", None)
 
 Chart = tuple[FigureJson, str]
 """of a card, and the caption of its saved figure"""
-Card = tuple[Answer, Chart | None]
 
 
 def page(scope: Scope) -> None:
@@ -75,26 +74,38 @@ def page(scope: Scope) -> None:
 
 
 def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
-    kinds = {scope.kinds[run.run_id] for runs in groups.values() for run in runs}
-    # A fit that keeps its buffer has a profile as well.
-    version = tuple(
-        (run.path, run.version("facts"), run.version("metrics"), run.version("profiles"))
-        for runs in groups.values()
-        for loop in runs
-        for run in dict.fromkeys((loop, first_weight_reader(loop)))
+    """The three cards. Only their charts are kept: all else is quick, once its files are read."""
+    sides = [
+        answer.side_of(title, runs, readers.metrics, readers.profiles, _contrast, text.markdown)
+        for title, runs in groups.items()
+    ]
+    mine, every = next(iter(groups.values())), [run for runs in groups.values() for run in runs]
+    styles = frozenset(
+        (kind, scope.styles[kind]) for kind in {scope.kinds[r.run_id] for r in every}
     )
-    key = tuple(groups), session.mode(), frozenset((kind, scope.styles[kind]) for kind in kinds)
-    made = get_or_make(("cards", *key), version, lambda: _make_cards(scope, groups))
+    version = tuple(
+        (readers.metrics_version(run), first_weight_reader(run).version("profiles"))
+        for run in every
+    )
+    drawn = get_or_make(
+        ("cards", *groups, styles, *(run.path for run in every)), version,
+        lambda: _charts(scope, groups, sides),
+    )  # fmt: skip
+    cards = CARDS
+    if sides[0].env == ROAD:
+        cards = ON_ROAD, *CARDS[1:]
+        drawn = [None if sides[0].uniform else _map(mine), *drawn[1:]]
+    one, other = (*sides, None)[:2]
     grid = st.container(horizontal=True, key="cards")
-    mine = next(iter(groups.values()))
-    cards = (ON_ROAD, *CARDS[1:]) if mine[0].env == ROAD else CARDS
-    for question, (link, what, _), (answered, drawn) in zip(QUESTIONS, cards, made, strict=True):
+    for question, (link, what, _), answered, chart_of in zip(
+        QUESTIONS, cards, answer.answers(one, other), drawn, strict=True
+    ):
         with grid, st.container(border=True, height="stretch"):
             st.subheader(question, anchor=False)
             st.markdown(f"#### {SIGNS[answered.word]} {text.markdown(answered.verdict)}")
-            if drawn is not None:
+            if chart_of is not None:
                 st.caption(what)
-                figure, caption = drawn
+                figure, caption = chart_of
                 chart(figure, f"answer {question}", f"{question} {what}", caption=caption)
             st.markdown(text.with_glossary_links(text.unbroken(answered.sentence)))
             if answered.more:
@@ -102,23 +113,10 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
             widgets.link_to(link, f"See it on {link.capitalize()}", run=mine[0].run_id)
 
 
-def _make_cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> list[Card]:
-    sides = [
-        answer.side_of(title, runs, readers.metrics, readers.profiles, _contrast, text.markdown)
-        for title, runs in groups.items()
-    ]
-    measured = zip(CARDS, _chart_groups(scope, groups, sides), strict=True)
-    drawn = [_chart(scope, what, level, lines) for (_, what, level), lines in measured]
-    if sides[0].env == ROAD and not sides[0].uniform:
-        drawn[0] = _map(next(iter(groups.values())))
-    one, other = (*sides, None)[:2]
-    return list(zip(answer.answers(one, other), drawn, strict=True))
-
-
-def _chart_groups(
+def _charts(
     scope: Scope, groups: Mapping[str, Sequence[RunReader]], sides: Sequence[Side]
-) -> list[list[Group]]:
-    """The groups of the three charts: newest fifth, footprint, return."""
+) -> list[Chart | None]:
+    """The charts of the three cards: newest fifth, footprint, return."""
     measured: list[list[Curve]] = [[], [], []]
     for side, runs in zip(sides, groups.values(), strict=True):
         for run, profiles, returns, exams in zip(
@@ -134,7 +132,10 @@ def _chart_groups(
                 informative = exams.subset(exams.informative & np.isfinite(exams.footprint))
                 left = 100 * informative.footprint
                 measured[1].append(replace(returns, step=informative.step, value=left))
-    return [curves.groups(one) for one in measured]
+    return [
+        _chart(scope, what, level, curves.groups(lines))
+        for (_, what, level), lines in zip(CARDS, measured, strict=True)
+    ]
 
 
 def _chart(scope: Scope, what: str, level: float | None, groups: Sequence[Group]) -> Chart | None:
@@ -164,6 +165,6 @@ def _map(runs: Sequence[RunReader]) -> Chart | None:
     return None
 
 
-@cached("buffer", "snapshot")
+@cached("buffer", "snapshot", "profiles")
 def _contrast(run: RunReader, step: int) -> Contrast | None:
     return answer.contrast(readers.fresh_reader(run), step)
