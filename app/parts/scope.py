@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -29,12 +28,13 @@ POLL_S = 5
 LISTED, SPARKS = 200, 24
 """runs that the list names, and points of a run's small line"""
 EVERY_TASK = "every task"
-FILTERS: dict[str, tuple[str, str, Callable[[str], str]]] = {
-    "state": ("State", "shown", str),
-    "learner": ("Learner", "learner", learner_label),
-    "preset": ("Preset", "preset", str),
+FILTERS: dict[str, tuple[str, Callable[[RunReader], Collection[str]], Callable[[str], str]]] = {
+    "state": ("State", lambda run: [run.shown], str),
+    "learner": ("Learner", lambda run: [run.learner], learner_label),
+    "preset": ("Preset", lambda run: [run.preset], str),
+    "tag": ("Tag", lambda run: run.labels.tags, str),
 }
-"""by the name in the address: label, attribute of a run, and how its values are shown"""
+"""by the name in the address: label, the values of a run, and how they are shown"""
 CALLS = {
     "weights": "`run.weights` records them, `tom.weigh_live(run)` computes them",
     "rows": "`run.transitions` records them",
@@ -118,14 +118,10 @@ def draw() -> Scope:
         with st.popover("Filter and group", icon=":material/filter_alt:", width="stretch"):
             by = address.choose_one(st.selectbox, "Group by", choices(of_task), "group", USUAL)
             runs = of_task
-            for field, (label, attribute, shown) in FILTERS.items():
-                value = attrgetter(attribute)
-                options = sorted({value(run) for run in of_task})
-                picked = address.choose_many(label, options, field, shown, placeholder="all")
-                runs = [run for run in runs if not picked or value(run) in picked]
-            every = sorted({tag for run in of_task for tag in run.labels.tags})
-            tags = set(address.choose_many("Tag", every, "tag", placeholder="any"))
-            runs = [run for run in runs if not tags or tags & set(run.labels.tags)]
+            for field, (label, values, shown) in FILTERS.items():
+                options = sorted({value for run in of_task for value in values(run)})
+                picked = {*address.choose_many(label, options, field, shown, placeholder="any")}
+                runs = [run for run in runs if not picked or picked.intersection(values(run))]
         runs = matching(runs, words)
         scope = _scope(runs, by)
         if not runs:

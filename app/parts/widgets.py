@@ -10,7 +10,7 @@ from app.data import readers
 from app.links import LIVE
 from app.parts import address
 from app.scenes.control import Choice, Selection, send_selection
-from tom.analysis.curves import Curve, curve_points
+from tom.analysis.curves import Curve, curve_of
 from tom.analysis.grouping import has_uniform_learner
 from tom.analysis.weight_readers import first_weight_reader
 from tom.learners import SUBJECT
@@ -22,8 +22,7 @@ EVALUATIONS = "evaluations"
 
 def curve(run: RunReader, metric: str) -> Curve:
     """One metric of a run against env steps."""
-    step, value = curve_points(readers.metrics(run), metric)
-    return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value)
+    return curve_of(run, readers.metrics(run), metric)
 
 
 def interest_key(run: RunReader) -> tuple[object, ...]:

@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.analysis import planes, scores, statistics
-from tom.analysis.curves import Curve, curve_points
+from tom.analysis.curves import Curve, curve_of
 from tom.analysis.exams import Exams, exams_of, last_steps, medians, ranking
 from tom.analysis.grouping import has_uniform_learner
 from tom.analysis.statistics import RANKED, Interval
@@ -124,11 +124,7 @@ def side_of(
         all(map(has_uniform_learner, runs)),  # grouped by a setting, learners are mixed
         bool(live),
         [profiles(run) for run in runs],
-        [
-            Curve(run.run_id, run.env, run.learner, run.preset, run.seed,
-                  *curve_points(metrics(run), "eval/return"))
-            for run in loops
-        ],
+        [curve_of(run, metrics(run), "eval/return") for run in loops],
         tables,
         [
             exams_of(run.run_id, run.learner, run.seed, name, table)

@@ -24,8 +24,7 @@ from app.views.curves import measure, numbers, runs
 from app.views.curves.measure import Measure
 from tom.analysis import statistics
 from tom.analysis.curves import Curve, Group
-from tom.analysis.grouping import CUT_SHORT, SHOWN_GROUPS
-from tom.analysis.scores import common_step
+from tom.analysis.grouping import SHOWN_GROUPS
 from tom.analysis.weight_readers import first_weight_reader, weight_readers
 from tom.config import SAC_ALONE
 from tom.metrics import describe
@@ -135,7 +134,7 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
         (curves, grouped), metric = first, metrics[0]
         st.caption(remarks(grouped, curves, how, scope))
         table = tables.summary(grouped)
-        if metric not in measure.METRICS.values():
+        if metric not in ("eval/return", "eval/return_max"):
             # The highest value of another metric, such as an error, may be the worst.
             table = table.rename(columns=lambda name: name.replace("best", "highest", 1))
         st.markdown(f"**{text.markdown(metric)}** at the step that all runs of a group reach")
@@ -223,9 +222,6 @@ def remarks(grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, sco
         "Runs recorded at other steps are interpolated.": any(
             group.interpolated for group in grouped
         ),
-        "The table's rows end at different steps; Statistics compares at one step.": ends_differ(
-            grouped
-        ),
         "A seed run twice counts twice.": unit == "seeds" and measure.has_repeated_seed(grouped),
         "The first half of a SAC recording is random steps, which count here.": any(
             curve.learner == SAC_ALONE for curve in curves
@@ -233,14 +229,6 @@ def remarks(grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, sco
         f"Left out (ended well before the others): {text.markdown(which)}.": bool(cut),
     }
     return text.unbroken(" ".join(words for words, holds in sentences.items() if holds))
-
-
-def ends_differ(grouped: Sequence[Group]) -> bool:
-    """Whether the rows of an environment's table end at clearly different steps."""
-    ends: dict[str, list[float]] = {}
-    for group in grouped:
-        ends.setdefault(group.env, []).append(common_step(group.curves))
-    return any(min(of) < CUT_SHORT * max(of) for of in ends.values())
 
 
 def with_interval_text(table: pd.DataFrame) -> pd.DataFrame:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
 import pandas as pd
 import streamlit as st
 
@@ -10,21 +9,18 @@ from app import session, text
 from app.data import readers, tables
 from app.data.run_names import distinct_names
 from app.parts import address
-from app.parts.scope import Scope, toggle
+from app.parts.scope import Scope
 from app.theme import learner_label
-from tom.analysis.settings import NONE, differences
+from tom.analysis.settings import NONE
 from tom.errors import UserError
 from tom.record import manage
 from tom.record.manage import NAME_LENGTH, NOTE_LENGTH
 from tom.record.reader import RunReader
 from tom.record.store import Store
 
-OWN_COLUMNS = ("env", "learner", "preset", "seed", "steps")
-"""settings that have columns of their own"""
-MOST_SETTINGS, MOST_COLUMNS = 12, 24
+MOST_COLUMNS = 24
 MARK = "font-weight: 650; background-color: rgba(200, 68, 28, 0.2)"
 COLUMNS = {
-    "shown": st.column_config.CheckboxColumn("shown", help="as its eye at the left"),
     "tags": st.column_config.ListColumn("tags"),
     "steps": st.column_config.NumberColumn("steps", format="localized"),
     "last": st.column_config.NumberColumn("last return", format="%.4g"),
@@ -33,21 +29,9 @@ COLUMNS = {
 
 
 def draw(scope: Scope) -> None:
-    """A table of the runs that pass the filters, with their eyes; below it actions on them."""
+    """A table of the runs that pass the filters; below it actions on them."""
     runs = scope.runs
-    table = overview(runs)
-    table.insert(0, "shown", np.array([run in scope.shown for run in runs], bool))
-    apart = {path: of for path, of in differences(runs).items() if path not in OWN_COLUMNS}
-    for path, of in reversed([*apart.items()][:MOST_SETTINGS]):
-        table.insert(4, path, of)  # after the name and the tags
-    edited = st.data_editor(
-        table, hide_index=True, column_config=COLUMNS, alt="The runs",
-        key=f"runs {sorted(scope.hidden)}", disabled=[name for name in table if name != "shown"],
-    )  # fmt: skip
-    for run, on, was in zip(runs, edited["shown"], table["shown"], strict=True):
-        if on != was:
-            toggle(scope, run.run_id)
-            st.rerun()
+    st.dataframe(overview(runs), hide_index=True, column_config=COLUMNS, alt="The runs")
     if why := session.read_only_reason():
         st.caption(why)
         return

@@ -5,7 +5,6 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import plotly.graph_objects as go
 import pytest
 from hypothesis import given
@@ -25,9 +24,9 @@ from app.parts.plot import Point, View
 from app.servers.pages import routes
 from app.theme import learner_colour
 from app.views import curves as page
-from app.views.curves import ends_differ, measure, numbers
+from app.views.curves import measure, numbers
 from app.views.curves.measure import favourites_first
-from tom.analysis.curves import Curve, Group, aggregate
+from tom.analysis.curves import Curve
 from tom.analysis.scores import BEST, FINAL
 from tom.plugins import CHARTS
 from tom.record import layout, manage
@@ -332,16 +331,6 @@ def test_a_profile_has_the_same_band_beside_any_other_group(
         assert np.array_equal(before, after)
 
 
-def test_rows_that_ends_differ_are_told() -> None:
-    def group(learner: str, last: int, env: str = "ant") -> Group:
-        step = np.arange(100, last + 1, 100)
-        return aggregate([Curve(learner, env, learner, "paper", 0, step, np.ones(len(step)))])
-
-    assert ends_differ([group("tom", 4000), group("mle", 2000)])
-    assert not ends_differ([group("tom", 4000), group("mle", 3900)])
-    assert not ends_differ([group("tom", 4000), group("mle", 2000, "hopper")])
-
-
 # Settings and runs
 
 
@@ -360,16 +349,6 @@ def test_a_run_gets_a_name_is_found_by_it_and_goes_to_the_trash_and_back(own: Pa
     app.multiselect(key="restored").select(PENDULUM_TOM).run()
     next(button for button in app.button if button.label == "Bring back").click().run()
     assert (own / PENDULUM_TOM / layout.CONFIG).exists()
-
-
-def test_a_tick_in_the_table_is_an_eye(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unticked(table: pd.DataFrame, **_: object) -> pd.DataFrame:
-        return table.assign(shown=table["shown"] & (table["run"] != SEEDS[1]))
-
-    monkeypatch.setattr(page.runs.st, "data_editor", unticked)
-    app = curves("Runs")
-    assert app.session_state["hide"] == [SEEDS[1]]
-    assert app.query_params["hide"] == SEEDS[1]
 
 
 def test_tags_of_several_runs_are_those_they_share_and_others_stay(own: Path) -> None:
