@@ -320,9 +320,10 @@ def label_ends(
     until = (figure.layout.xaxis.range or [np.inf])[-1]  # type: ignore[attr-defined]
     ends = []
     for group in groups:
-        known = np.flatnonzero(np.isfinite(group.mean))
-        at = known[group.step[known] <= until][-1:] or known[:1]
-        ends.append((float(group.mean[at[0]]), styles[group.kind], group.n))
+        known = np.isfinite(group.mean)
+        shown = group.mean[known & (group.step <= until)]
+        end = shown[-1] if len(shown) else group.mean[known][0]  # of a line that begins beyond
+        ends.append((float(end), styles[group.kind], group.n))
     if axes.log_y and any(y <= 0 for y, _, _ in ends):
         return figure
     # The axis ends at the lowest and highest of what is drawn; so do the labels' places, in pixels.

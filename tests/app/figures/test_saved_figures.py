@@ -76,7 +76,8 @@ def test_one_longer_run_leaves_the_others_the_width() -> None:
     steps = np.arange(0, 150_000, 1000)
     long = Curve("long", "hopper", "tom", "paper", 9, steps, steps / 300)
     several, alone = group("tom", 90), aggregate([replace(long, learner="mle")])
-    for groups in ([aggregate([*several.curves, long])], [several, alone]):
+    late = aggregate([replace(long, learner="pmac", step=steps[90:], value=steps[90:] / 600)])
+    for groups in ([aggregate([*several.curves, long])], [several, alone, late]):
         figure = labelled(groups)
         assert figure.to_dict()["layout"]["xaxis"]["range"] == [0, STEPS[-1]]
         assert max(one["y"] for one in labels(figure)) < 200  # where the lines leave the figure
