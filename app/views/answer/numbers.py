@@ -20,7 +20,6 @@ from tom.analysis import statistics
 from tom.analysis.answer import SIGNIFICANT
 from tom.analysis.exams import Exams, Ranking, Standing, exams_of, ranking
 from tom.analysis.scores import counted_from, interval
-from tom.config import SAC_ALONE
 from tom.readable import UNKNOWN, percent, short
 from tom.record.reader import RunReader
 
@@ -61,15 +60,9 @@ COLUMNS = {
 
 def draw(scope: Scope, env: str) -> None:
     """The exams of all runs of a task, and their models' errors on one buffer and on their own."""
-    runs = [run for run in scope.runs if run.env == env]
-    alone = [run for run in runs if run.learner == SAC_ALONE]
-    alike, others = split_by_length([run for run in runs if run not in alone])
-    lengths = dict.fromkeys(run.status.env_step for run in others)
-    of_length = {
-        f"of another length ({steps:,} steps)": [r for r in others if r.status.env_step == steps]
-        for steps in lengths
-    }
-    _list_left_out(runs, {**of_length, "without a model": alone})
+    runs = [run for run in scope.runs if run.env == env and run.fits_model]
+    alike, others = split_by_length(runs)
+    _list_left_out(runs, {"of another length": others})
     _exams(scope, alike)
     st.subheader("In sample: on rows that the models were fitted to", anchor=False)
     st.caption(
@@ -229,7 +222,8 @@ def _list_left_out(runs: Sequence[RunReader], left_out: Mapping[str, Sequence[Ru
     names = distinct_names(runs, by_user=True)
     for reason, of in left_out.items():
         if of:
-            named = text.markdown("; ".join(names[run.run_id] for run in of))
+            steps = (f"{names[run.run_id]} ({run.status.env_step:,} steps)" for run in of)
+            named = text.markdown("; ".join(steps))
             if len(of) <= FEW_NAMED:
                 st.caption(f"Left out ({reason}): {named}.")
             else:
