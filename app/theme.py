@@ -7,8 +7,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tom.config import OWN_LOOP, SAC_ALONE
+from tom.config import SAC_ALONE
 from tom.learners import LEARNERS
+from tom.learners import learner_label as learner_label  # with the colours, for every page
 
 Mode = Literal["light", "dark"]
 
@@ -18,7 +19,6 @@ BASELINE_COLOURS: dict[str, str] = {
     "footprint-only": "#98815f",
     SAC_ALONE: "#7d6f66",
 }
-_OTHER_LABELS = {SAC_ALONE: "SAC", OWN_LOOP: "Own loop"}
 _SPARE_COLOURS = ("#7a6ff0", "#8f6a4e", "#5f8a1f", "#a8506e")
 # For groups without a learner's colour; also the colour-blind can tell them apart and from neutral.
 QUALITATIVE = ("#0096ff", "#c31e2d", "#a5960f", "#693cf0", "#963ca5", "#b43c5a")
@@ -97,11 +97,6 @@ def learner_symbol(learner: str) -> str:
     """The marker of a learner, a second cue besides its colour."""
     names = list(LEARNER_COLOURS)
     return SYMBOLS[names.index(learner) % len(SYMBOLS)] if learner in names else "x"
-
-
-def learner_label(learner: str) -> str:
-    """The label of a learner on a page; its plain name if it is not in the registry."""
-    return LEARNERS[learner].label if learner in LEARNERS else _OTHER_LABELS.get(learner, learner)
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from app.data import buffer, columns, weighings
 from app.data.cache import LOCK, cached, publish_array
 from app.data.columns import AGE, DISTANCE, ERROR, ERROR_ROWS, RANK, WEIGHT, Column
-from app.data.readers import first_weight_reader, profiles
+from app.data.readers import profiles
 from app.data.selection import Mask, Selection, between, inside
 from app.data.weighings import Dataset, Weighing
 from app.theme import learner_label
 from tom.analysis import planes, why
 from tom.analysis.brush import UNCHANGED
 from tom.analysis.imagine import StoredModel
+from tom.analysis.weight_readers import first_weight_reader
 from tom.dynamics.neural import NeuralDynamics
 from tom.envs import ROAD
 from tom.errors import UserError

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from app.data import trainings
 from app.data.cache import cached, get_or_make
+from tom.analysis.weight_readers import first_weight_reader
 from tom.errors import UserError
-from tom.learners import SUBJECT
 from tom.record import manage
 from tom.record.decode import Profiles
-from tom.record.reader import RunReader
+from tom.record.reader import RunReader, Version
 from tom.record.status import DEAD_AFTER_S
 from tom.record.store import Store
 
@@ -105,18 +105,6 @@ def _part(run: RunReader, part: Literal["metrics", "profiles", "notices"]) -> tu
     return get_or_make((part, run.path), run.version(part), read)
 
 
-def weight_readers(run: RunReader) -> dict[str, RunReader]:
-    """The run seen with its own weights, if it has any, and with live ones, by learner."""
-    own = {run.learner: run} if has_profiles(run) else {}
-    live = run.live().items() if run.own_loop else ()
-    return own | dict(sorted(live, key=lambda one: one[0] != SUBJECT))
-
-
-def first_weight_reader(run: RunReader) -> RunReader:
-    """The run seen with the first of its weights."""
-    return next(iter(weight_readers(run).values()), run)
-
-
 def metrics(run: RunReader) -> pd.DataFrame:
     """One row per recorded step: `env_step` and every metric; of a loop also its live weights'."""
     own, live = _part(run, "metrics")[0], first_weight_reader(run)
@@ -125,6 +113,11 @@ def metrics(run: RunReader) -> pd.DataFrame:
     found = _part(live, "metrics")[0]
     more = [name for name in found if name == "env_step" or name not in own]
     return own.merge(found[more], "outer", "env_step")
+
+
+def metrics_version(run: RunReader) -> tuple[Version, Version]:
+    """A value that changes whenever `metrics` does. Reads no metrics."""
+    return run.version("metrics"), first_weight_reader(run).version("metrics")
 
 
 def profiles(run: RunReader) -> Profiles:
@@ -146,11 +139,6 @@ def problems(run: RunReader) -> list[str]:
     """Damaged or missing parts of a run that the pages of a single run need."""
     named = [*metrics_problems(run), *_part(run, "profiles")[1], *_part(run, "notices")[1]]
     return list(dict.fromkeys(named))
-
-
-def has_profiles(run: RunReader) -> bool:
-    """Whether there is a profile, which may be damaged. Reads no file."""
-    return any(size for _, size in run.version("profiles"))
 
 
 def metric_counts(run: RunReader) -> dict[str, int]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from app import text
 from app.data import buffer, readers
 from app.data.cache import get_or_make
-from app.data.exams import at_fit
+from tom.analysis.exams import at_fit
 from tom.analysis.progression import medians, progression
 from tom.data.card import sentence
 from tom.data.sampling import bin_means

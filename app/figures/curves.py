@@ -39,6 +39,7 @@ from app.theme import (
     shades,
 )
 from tom.analysis.curves import GRID, Curve, Group, smoothed
+from tom.analysis.grouping import CUT_SHORT, titles_of
 from tom.analysis.settings import USUAL, Kind, natural_sort_key, number
 from tom.envs import ROAD
 from tom.learners import SUBJECT
@@ -79,9 +80,10 @@ def styles_of(
     """
     groups = set(groups)
     kinds = sorted({kind for _, kind in groups})
+    titles = titles_of(kinds)
     if by in (USUAL, "learner"):
         offline = {kind for env, kind in groups if env == ROAD}  # where the paper's is the main one
-        return {kind: _style(kind, _title(kind, kinds), kind in offline) for kind in kinds}
+        return {kind: _style(kind, titles[kind], kind in offline) for kind in kinds}
     values = [kind for kind in kinds if not kind.learner]
     values.sort(key=lambda kind: natural_sort_key(" ".join(kind)))
     # Seeds are numbers without a meaning.
@@ -89,22 +91,14 @@ def styles_of(
     colours = ramp(len(values), mode) if ordered else QUALITATIVE
     pairs = [(colour, dash) for dash in DASHES for colour in colours]
     styles = {
-        kind: Style(_title(kind, values), *style, SYMBOLS[i % len(SYMBOLS)])
+        kind: Style(titles[kind], *style, SYMBOLS[i % len(SYMBOLS)])
         for i, (kind, style) in enumerate(zip(values, cycle(pairs), strict=False))
     }
     learnt = [kind for kind in kinds if kind.learner]
     return styles | {
-        kind: Style(_title(kind, learnt), NEUTRAL, dash, learner_symbol(kind.learner))
+        kind: Style(titles[kind], NEUTRAL, dash, learner_symbol(kind.learner))
         for kind, dash in zip(learnt, cycle(DASHES), strict=False)
     }
-
-
-def _title(kind: Kind, among: Iterable[Kind]) -> str:
-    """The learner, such as `TOM`, then the preset if its learner has several, and the settings."""
-    presets = {other.preset for other in among if other.learner == kind.learner}
-    preset = kind.preset if len(presets) > 1 or not kind.learner else ""
-    name = " ".join(filter(None, (learner_label(kind.learner), preset)))
-    return ", ".join(filter(None, (name, kind.variant)))
 
 
 def _style(kind: Kind, title: str, offline: bool) -> Style:
@@ -148,6 +142,19 @@ SHORT_TITLES = {
 def short_title(metric: str) -> str:
     """What a metric is called above its figure; its path if it has no name of its own."""
     return SHORT_TITLES.get(metric, metric)
+
+
+def opens_until(groups: Sequence[Group]) -> float:
+    """The step at which a figure of these groups ends until it is zoomed out.
+
+    Half the runs of some group of several reach it, so that a single longer run does not leave the
+    others a small part of the width.
+    """
+    ends = [sorted(curve.step[-1] for curve in group.curves) for group in groups]
+    several = [of[len(of) // 2] for of in ends if len(of) > 1]
+    last = max(of[-1] for of in ends)
+    until = max(several, default=last)
+    return float(until if until < CUT_SHORT * last else last)
 
 
 def single_run_group(curve: Curve, name: str) -> Group:
@@ -199,6 +206,12 @@ def group_curves(
     x = x if axes.x == ENV_STEPS else text.plotly(axes.x)
     x_axis: dict[str, Any] = {"type": "log" if axes.log_x else "linear"}
     lines: list[Any] = list(figure.data)
+    words = [f"smoothed: mean of {window} points of the line"] if window > 1 else []
+    starts, ends = zip(*((x[0], x[-1]) for x, _ in drawn), strict=True)
+    until = opens_until(groups) if axes.x == ENV_STEPS and not axes.log_x else max(ends)
+    if until < max(ends):
+        x_axis["range"] = [min(starts), until]
+        words.append(f"opens to step {until:,.0f} of {max(ends):,.0f}: double-click for all")
     if len({float(x) for trace in lines for x in trace.x[:2]}) == 1 and not axes.log_x:
         # With a single point Plotly would show a tiny range around it: start the axis at zero.
         x_axis |= {"rangemode": "tozero", "autorangeoptions": {"include": 0}}
@@ -208,7 +221,6 @@ def group_curves(
         y_axis={"type": "log" if axes.log_y else "linear"}, hovermode="x unified",
         hoversort="value descending", meta={"y": short_title(metric), "groups": named},
     )  # fmt: skip
-    words = [f"smoothed: mean of {window} points of the line"] if window > 1 else []
     if any(group.thinned for group in groups):
         words.append(f"thinned to {GRID} points a line")
     if singles and any(len(c.step) > POINTS for g in groups if g.n > 1 for c in g.curves):
@@ -305,10 +317,13 @@ def label_ends(
     Labels that would overlap are moved apart. The figure has its height already. Where a line ends
     at or below zero on a log axis, the legend stays.
     """
-    ends = [
-        (float(group.mean[np.isfinite(group.mean)][-1]), styles[group.kind], group.n)
-        for group in groups
-    ]
+    until = (figure.layout.xaxis.range or [np.inf])[-1]  # type: ignore[attr-defined]
+    ends = []
+    for group in groups:
+        known = np.isfinite(group.mean)
+        shown = group.mean[known & (group.step <= until)]
+        end = shown[-1] if len(shown) else group.mean[known][0]  # of a line that begins beyond
+        ends.append((float(end), styles[group.kind], group.n))
     if axes.log_y and any(y <= 0 for y, _, _ in ends):
         return figure
     # The axis ends at the lowest and highest of what is drawn; so do the labels' places, in pixels.

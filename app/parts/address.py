@@ -173,11 +173,11 @@ def follow_default(key: str, default: object) -> None:
     st.session_state[f"{key} usual"] = default
 
 
-def switch(label: str, key: str, *, default: bool = False) -> bool:
+def switch(label: str, key: str) -> bool:
     """Whether the user has switched something on: a toggle."""
-    value_of(key, lambda given: given[-1].lower() == "true" if given else default)
+    value_of(key, lambda given: given[-1:] == ["true"])
     on = st.toggle(label, key=key)
-    write(key, [] if on == default else [str(on).lower()])
+    write(key, ["true"] if on else [])
     return on
 
 

@@ -7,7 +7,6 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 from pydantic import ValidationError
 
-from app import text
 from tom import plugins
 from tom.cli.parser import leaf_fields, one_line
 from tom.errors import UserError
@@ -17,7 +16,6 @@ from tom.training.presets import config_type, resolve
 LEFT_OUT = {"env", "learner", "preset", "seed", "steps"}
 """settings with separate fields above the others"""
 GENERAL = "run"
-MOST_SEEDS = 16
 
 
 class Setting(NamedTuple):
@@ -53,21 +51,6 @@ def sections(env: str, learner: str, preset: str) -> dict[str, list[Setting]]:
         field = Setting(path, name.replace("_", " "), info.description or "", words, choices)
         groups.setdefault(group or GENERAL, []).append(field)
     return groups
-
-
-def parse_seeds(typed: str) -> list[int]:
-    """`0-2, 7` as numbers. Raises UserError for anything else."""
-    numbers: list[int] = []
-    for part in typed.replace(",", " ").split():
-        first, dash, last = part.partition("-")
-        low, high = text.parse_int(first), text.parse_int(last if dash else first)
-        if low is None or high is None:
-            raise UserError(f"seeds '{typed[:40]}' are not numbers: write 0, or 0-2, or 0, 3, 5")
-        numbers += range(low, min(high, low + MOST_SEEDS) + 1)
-    numbers = list(dict.fromkeys(numbers))
-    if not 1 <= len(numbers) <= MOST_SEEDS:
-        raise UserError(f"name 1 to {MOST_SEEDS} seeds, such as 0-2")
-    return numbers
 
 
 def train_arguments(

@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -18,30 +16,25 @@ from app.figures.curves import Style, styles_of
 from app.parts import address, widgets
 from app.theme import learner_label
 from tom.analysis.curves import curve_points
-from tom.analysis.settings import USUAL, Kind, choices, kinds_of
-from tom.config import SAC_ALONE
-from tom.learners import LEARNERS, SUBJECT
+from tom.analysis.grouping import RunGroups, grouped, usual_task
+from tom.analysis.settings import USUAL, Kind, choices
 from tom.readable import score
 from tom.record.files import modified
 from tom.record.reader import RunReader
 from tom.spread import spread
-from tom.training.presets import default_preset
 
-CUT_SHORT = 0.9
-"""runs whose last steps differ by less have ended at about the same step"""
-LINES = 6
-"""groups that are shown until the user opens more"""
 POLL_S = 5
 """seconds between two looks at whether a training has begun or ended"""
 LISTED, SPARKS = 200, 24
 """runs that the list names, and points of a run's small line"""
 EVERY_TASK = "every task"
-FILTERS: dict[str, tuple[str, str, Callable[[str], str]]] = {
-    "state": ("State", "shown", str),
-    "learner": ("Learner", "learner", learner_label),
-    "preset": ("Preset", "preset", str),
+FILTERS: dict[str, tuple[str, Callable[[RunReader], Collection[str]], Callable[[str], str]]] = {
+    "state": ("State", lambda run: [run.shown], str),
+    "learner": ("Learner", lambda run: [run.learner], learner_label),
+    "preset": ("Preset", lambda run: [run.preset], str),
+    "tag": ("Tag", lambda run: run.labels.tags, str),
 }
-"""by the name in the address: label, attribute of a run, and how its values are shown"""
+"""by the name in the address: label, the values of a run, and how they are shown"""
 CALLS = {
     "weights": "`run.weights` records them, `tom.weigh_live(run)` computes them",
     "rows": "`run.transitions` records them",
@@ -68,53 +61,12 @@ ALIVE = "frame: alive"
 
 
 @dataclass(frozen=True)
-class Scope:
-    """The runs that pass the filters, newest first, in groups; which are hidden, which is chosen.
+class Scope(RunGroups):
+    """The runs that pass the filters, in groups, with the choices and colours of this session."""
 
-    `hidden` holds titles of groups and ids of runs. A hidden run does not count in its group.
-    """
-
-    runs: tuple[RunReader, ...]
-    by: str
-    kinds: Mapping[str, Kind]
-    styles: Mapping[Kind, Style]
-    hidden: frozenset[str]
-    folded: frozenset[str]
-    """titles of the groups that are hidden until the user opens them"""
     chosen_id: str
     """the id of the run that the user has chosen; empty if none"""
-    order: tuple[str, ...]
-    """the titles of the groups, main ones first"""
-
-    @cached_property
-    def counted(self) -> list[RunReader]:
-        """The runs that count in their group: not hidden themselves, and not cut short."""
-        cut = {run.run_id for run in self.cut_short}
-        return [run for run in self.runs if run.run_id not in self.hidden | cut]
-
-    @cached_property
-    def cut_short(self) -> list[RunReader]:
-        """Runs that ended well before a finished one of their group, and do not go on."""
-        ends: dict[tuple[str, Kind], int] = {}
-        for run in self.runs:
-            if run.status.state == "finished":
-                key = run.env, self.kinds[run.run_id]
-                ends[key] = max(ends.get(key, 0), run.status.env_step)
-        return [
-            run
-            for run in self.runs
-            if run.status.state != "finished"
-            and not run.status.alive
-            and run.status.env_step < CUT_SHORT * ends.get((run.env, self.kinds[run.run_id]), 0)
-        ]
-
-    @cached_property
-    def shown(self) -> list[RunReader]:
-        """The runs that are hidden neither themselves nor with their group."""
-        return [run for run in self.counted if self.title(run) not in self.hidden]
-
-    def title(self, run: RunReader) -> str:
-        return self.styles[self.kinds[run.run_id]].title
+    styles: Mapping[Kind, Style]
 
     @property
     def unit(self) -> str:
@@ -166,14 +118,10 @@ def draw() -> Scope:
         with st.popover("Filter and group", icon=":material/filter_alt:", width="stretch"):
             by = address.choose_one(st.selectbox, "Group by", choices(of_task), "group", USUAL)
             runs = of_task
-            for field, (label, attribute, shown) in FILTERS.items():
-                value = attrgetter(attribute)
-                options = sorted({value(run) for run in of_task})
-                picked = address.choose_many(label, options, field, shown, placeholder="all")
-                runs = [run for run in runs if not picked or value(run) in picked]
-            every = sorted({tag for run in of_task for tag in run.labels.tags})
-            tags = set(address.choose_many("Tag", every, "tag", placeholder="any"))
-            runs = [run for run in runs if not tags or tags & set(run.labels.tags)]
+            for field, (label, values, shown) in FILTERS.items():
+                options = sorted({value for run in of_task for value in values(run)})
+                picked = {*address.choose_many(label, options, field, shown, placeholder="any")}
+                runs = [run for run in runs if not picked or picked.intersection(values(run))]
         runs = matching(runs, words)
         scope = _scope(runs, by)
         if not runs:
@@ -193,17 +141,13 @@ def store_state(store: str) -> object:
 
 
 def _runs_of_task(everything: Sequence[RunReader], asked: str) -> list[RunReader]:
-    """The runs of the chosen task: usually the chosen run's, else the newest training's of one's
-    own, else that of most examples."""
+    """The runs of the chosen task: usually the chosen run's, else `usual_task`."""
     if not everything:  # there may be weighed data
         return []
-    tasks = [run.env for run in everything]
-    own = [run for run in everything if not run.small_copy]
-    trained = [run.env for run in own if run.learner != SAC_ALONE] or [run.env for run in own]
-    first = trained[0] if own else max(dict.fromkeys(tasks), key=tasks.count)
-    first = next((run.env for run in everything if run.run_id == asked), first)
+    first = next((run.env for run in everything if run.run_id == asked), usual_task(everything))
+    tasks = {run.env for run in everything}
     env = address.choose_one(
-        st.selectbox, "Task", [*sorted({*tasks}), EVERY_TASK], "task", first,
+        st.selectbox, "Task", [*sorted(tasks), EVERY_TASK], "task", first,
         lambda name: name if name == EVERY_TASK else task_title(name), label_visibility="collapsed",
     )  # fmt: skip
     st.session_state["task shown"] = (
@@ -231,31 +175,14 @@ def matching(runs: Sequence[RunReader], pattern: str) -> list[RunReader]:
 
 
 def _scope(runs: Sequence[RunReader], by: str) -> Scope:
-    kinds = kinds_of(runs, by)
-    styles = styles_of([(run.env, kinds[run.run_id]) for run in runs], by, session.mode())
-    there = {run.run_id for run in runs} | {style.title for style in styles.values()}
-    rank = {kinds[run.run_id]: _rank(run, kinds[run.run_id]) for run in runs}
-    own = {kinds[run.run_id] for run in runs if not run.small_copy}
-    main = sorted(own or rank, key=lambda kind: rank[kind])[:LINES]
-    # Folded: the groups beyond the first, and examples beside runs of one's own.
-    folded = {style.title for kind, style in styles.items() if kind not in main}
+    found = grouped(runs, by)
+    styles = styles_of([(run.env, found.kinds[run.run_id]) for run in runs], by, session.mode())
+    there = {run.run_id for run in runs} | {*found.order}
     hide, show = (address.get_all(key, there.__contains__) for key in ("hide", "show"))
-    hidden = folded.difference(show) | set(hide)
-    order = sorted(styles, key=lambda kind: rank[kind])
+    hidden = found.folded.difference(show) | set(hide)
     return Scope(
-        tuple(runs), by, kinds, styles, frozenset(hidden), frozenset(folded),
-        address.get("run"),
-        tuple(styles[kind].title for kind in order),
-    )  # fmt: skip
-
-
-def _rank(run: RunReader, kind: Kind) -> tuple[object, ...]:
-    order = list(LEARNERS)
-    place = order.index(run.learner) if run.learner in order else len(order)
-    usual = run.preset == default_preset(run.env, run.learner)
-    return (
-        bool(kind.variant), run.learner == SAC_ALONE, not usual, run.learner != SUBJECT, place, kind
-    )  # fmt: skip
+        found.runs, by, found.kinds, found.titles, found.folded, hidden, address.get("run"), styles
+    )
 
 
 def _draw_list(scope: Scope) -> None:

@@ -32,6 +32,8 @@ REFRESH_S = 2
 RECENT_S, MOST = 900, 6
 """seconds for which a run that has ended is still shown, and the number of those that are"""
 IN_ROW, FIELDS_IN_ROW = 3, 4
+SEEDS = 16
+"""seeds that the form offers"""
 MAX_NAMED = 3
 FOLD, OPENED = "starting", "start opened"
 _STATE_TINTS = {"running": "#1f9d55", "failed": "#d2383f", "dead": "#c77700"}
@@ -116,8 +118,9 @@ def _form() -> None:
             "repaired; released: with the released code's choices; mbpo: Janner's MBPO; smoke: "
             "small and quick",
         )  # fmt: skip
-        seeds = row[3].text_input(
-            "Seeds", "0", key="start seeds", help="one training per seed: 0, or 0-2, or 0, 3"
+        st.session_state.setdefault("start seeds", [0])
+        seeds = row[3].multiselect(
+            "Seeds", range(SEEDS), key="start seeds", help="one training per seed"
         )
         try:
             usual = resolve(env, learner, preset).steps
@@ -133,13 +136,13 @@ def _form() -> None:
         try:
             store = session.links().store
             commands = [
-                form.train_arguments(env, learner, preset, seed, given, store)
-                for seed in form.parse_seeds(seeds)
+                form.train_arguments(env, learner, preset, seed, given, store) for seed in seeds
             ]
         except UserError as error:
             st.error(text.markdown(error), icon=":material/error:")
             return
-        _start_button(commands)
+        if commands:
+            _start_button(commands)
 
 
 def _settings(groups: dict[str, list[form.Setting]]) -> dict[str, str]:

@@ -10,8 +10,10 @@ from app.data import readers
 from app.links import LIVE
 from app.parts import address
 from app.scenes.control import Choice, Selection, send_selection
-from tom.analysis.curves import Curve, curve_points
-from tom.learners import LEARNERS, SUBJECT
+from tom.analysis.curves import Curve, curve_of
+from tom.analysis.grouping import has_uniform_learner
+from tom.analysis.weight_readers import first_weight_reader
+from tom.learners import SUBJECT
 from tom.record.reader import RunReader
 
 EVALUATIONS = "evaluations"
@@ -20,8 +22,7 @@ EVALUATIONS = "evaluations"
 
 def curve(run: RunReader, metric: str) -> Curve:
     """One metric of a run against env steps."""
-    step, value = curve_points(readers.metrics(run), metric)
-    return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value)
+    return curve_of(run, readers.metrics(run), metric)
 
 
 def interest_key(run: RunReader) -> tuple[object, ...]:
@@ -33,16 +34,11 @@ def interest_key(run: RunReader) -> tuple[object, ...]:
     )  # fmt: skip
 
 
-def has_uniform_learner(run: RunReader) -> bool:
-    """Whether the run's learner counts every transition the same."""
-    return run.learner in LEARNERS and LEARNERS[run.learner].uniform
-
-
 def has_uneven_weights(run: RunReader) -> bool:
     """Whether the weights of the run's last fit are not uniform."""
     if has_uniform_learner(run):
         return False  # known without reading
-    profiles = readers.profiles(readers.first_weight_reader(run))
+    profiles = readers.profiles(first_weight_reader(run))
     return len(profiles.ess) > 0 and bool(profiles.ess[-1] < 0.99)
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tom.analysis import statistics
 from tom.analysis.settings import Kind, natural_sort_key
+from tom.record.reader import RunReader
 from tom.spread import spread
 
 Statistic = Literal["mean", "median", "iqm"]
@@ -114,6 +115,12 @@ def curve_points(frame: pd.DataFrame, metric: str) -> tuple[NDArray[np.int64], N
     value = np.asarray(frame[metric], np.float64)
     here = np.isfinite(value)
     return np.asarray(frame["env_step"], np.int64)[here], value[here]
+
+
+def curve_of(run: RunReader, frame: pd.DataFrame, metric: str) -> Curve:
+    """One metric of a run, whose metrics are in `frame`, against env steps."""
+    step, value = curve_points(frame, metric)
+    return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value)
 
 
 def points_against(

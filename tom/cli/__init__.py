@@ -20,6 +20,7 @@ COMMANDS = {
     "record-sac": "record SAC's replay in order, for `tom weigh`",
     "weigh": "weigh recorded data for a policy",
     "brush": "fit a small model in which a region of the buffer counts more or less",
+    "answer": "where a learner looks, and whether that helps: one group of runs against another",
     "sweep": "train every environment with every learner and seed",
     "reproduce": "reproduce a claim of the paper",
     "bench": "measure this machine",

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pydantic import create_model
 
 from tom.config import (
+    OWN_LOOP,
+    SAC_ALONE,
     ActionRatioConfig,
     Config,
     PdmlConfig,
@@ -150,6 +152,12 @@ WITH_TERMS = tuple(name for name, entry in LEARNERS.items() if entry.has_terms)
 def learner_rank(learner: str) -> int:
     """The place of a learner in a table: as in the registry, unknown ones last."""
     return list(LEARNERS).index(learner) if learner in LEARNERS else len(LEARNERS)
+
+
+def learner_label(learner: str) -> str:
+    """The label of a learner; its plain name if it is not in the registry."""
+    others = {SAC_ALONE: "SAC", OWN_LOOP: "Own loop"}
+    return LEARNERS[learner].label if learner in LEARNERS else others.get(learner, learner)
 
 
 NEUTRAL = "#8a92a3"

@@ -30,6 +30,7 @@ from app.theme import (
 )
 from tom.analysis import planes
 from tom.analysis.curves import curve_points
+from tom.analysis.weight_readers import has_profiles
 from tom.data.transitions import Transitions
 from tom.envs import ROAD, Task
 from tom.envs import scene as geometry
@@ -95,7 +96,7 @@ def story(run: RunReader) -> dict[str, Any]:
 
 def has_story(run: RunReader) -> bool:
     """Whether the run has the parts of a story, as far as is known without reading them."""
-    return run.env != ROAD and readers.has_profiles(run) and buffer.has_rows(run)
+    return run.env != ROAD and has_profiles(run) and buffer.has_rows(run)
 
 
 def _cloud(rows: Transitions) -> dict[str, Any]:

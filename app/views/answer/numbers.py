@@ -1,7 +1,7 @@
 """The numbers behind the cards: exams of the runs' fits, and their models' errors in sample."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -11,22 +11,19 @@ from app import text
 from app.data import buffer, readers
 from app.data.buffer import Floats
 from app.data.cache import get_or_make
-from app.data.exams import Exams, Ranking, Standing, exams_of, ranking
 from app.data.run_names import distinct_names
-from app.figures.curves import styles_of
 from app.figures.exams import errors_by_age, footprint_error_return
 from app.parts import widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from tom.analysis import statistics
+from tom.analysis.answer import SIGNIFICANT
+from tom.analysis.exams import Exams, Ranking, Standing, exams_of, ranking
 from tom.analysis.scores import counted_from, interval
-from tom.analysis.settings import kinds_of
-from tom.config import SAC_ALONE
 from tom.readable import UNKNOWN, percent, short
 from tom.record.reader import RunReader
 
 HEIGHT = 380
-SIGNIFICANT = 0.05
 MODELS, BINS = 8, 20
 """stored models that are tested on one buffer, and parts of it whose mean errors are drawn"""
 NO_EXAM = "no exam: recorded by a version before exams, or still on the first fit"
@@ -63,16 +60,10 @@ COLUMNS = {
 
 def draw(scope: Scope, env: str) -> None:
     """The exams of all runs of a task, and their models' errors on one buffer and on their own."""
-    runs = [run for run in scope.runs if run.env == env]
-    alone = [run for run in runs if run.learner == SAC_ALONE]
-    alike, others = split_by_length([run for run in runs if run not in alone])
-    lengths = dict.fromkeys(run.status.env_step for run in others)
-    of_length = {
-        f"of another length ({steps:,} steps)": [r for r in others if r.status.env_step == steps]
-        for steps in lengths
-    }
-    _list_left_out(runs, {**of_length, "without a model": alone})
-    _exams(alike)
+    runs = [run for run in scope.runs if run.env == env and run.fits_model]
+    alike, others = split_by_length(runs)
+    _list_left_out(runs, {"of another length": others})
+    _exams(scope, alike)
     st.subheader("In sample: on rows that the models were fitted to", anchor=False)
     st.caption(
         "A model can err little here and yet much where its policy goes next; only the exams above "
@@ -80,27 +71,22 @@ def draw(scope: Scope, env: str) -> None:
     )
     run = scope.choose_run(lambda run: run in alike and buffer.has_rows(run), widgets.interest_key)
     if run is not None:
-        _on_one_buffer(run, alike)
+        _on_one_buffer(scope, run, alike)
 
 
-def _exams(runs: Sequence[RunReader]) -> None:
+def _exams(scope: Scope, runs: Sequence[RunReader]) -> None:
     """Who errs least on its own policy's transitions, the numbers, and a figure of all fits."""
 
     def make() -> tuple[list[Exams], Ranking]:
-        names = group_names(runs)
         read = [
-            exams_of(run.run_id, run.learner, run.seed, names[run.run_id], readers.metrics(run))
+            exams_of(run.run_id, run.learner, run.seed, scope.title(run), readers.metrics(run))
             for run in sorted(runs, key=lambda run: (run.learner, run.seed, run.run_id))
         ]
         exams = [one for one in read if len(one.step)]
         return exams, ranking(exams, counted_from(map(readers.metrics, runs)))
 
-    version = tuple(
-        (run.path, run.version("metrics"), readers.first_weight_reader(run).version("metrics"))
-        for run in runs
-    )
-    key = "exams", *(run.path for run in runs)
-    exams, result = get_or_make(key, version, make)
+    key = "exams", *((run.path, scope.title(run)) for run in runs)
+    exams, result = get_or_make(key, tuple(map(readers.metrics_version, runs)), make)
     too_short = {one.run_id: result.ended_before(one) for one in exams}
     without = [run for run in runs if run.run_id not in too_short]
     early = [run for run in runs if too_short.get(run.run_id)]
@@ -121,13 +107,6 @@ def _exams(runs: Sequence[RunReader]) -> None:
         chart(figure, "exams", "footprint, error in the exam and next return of every fit")
     few = statistics.remark(min(one.seeds for one in result.ranked or result.standings))
     st.caption(f"{text.markdown(few)}. {OWN}" if few else OWN)
-
-
-def group_names(runs: Sequence[RunReader]) -> dict[str, str]:
-    """By run id the name of its group: its learner, and what distinguishes it from other groups."""
-    kinds = kinds_of(runs)
-    groups = styles_of((run.env, kinds[run.run_id]) for run in runs)
-    return {run_id: groups[kind].title for run_id, kind in kinds.items()}
 
 
 def verdict(result: Ranking) -> str:
@@ -186,15 +165,15 @@ def table(result: Ranking) -> pd.DataFrame:
     )
 
 
-def _on_one_buffer(run: RunReader, others: Sequence[RunReader]) -> None:
+def _on_one_buffer(scope: Scope, run: RunReader, others: Sequence[RunReader]) -> None:
     """The errors on the buffer of `run` of its own stored model and of other runs' models."""
     kept = [other for other in others if buffer.has_model(other)]
-    errors, beyond, names = [], list(kept), group_names(kept)
-    for other in alternating_groups(run, kept):
+    errors, beyond = [], list(kept)
+    for other in alternating_groups(run, kept, scope.title):
         error = buffer.errors_on(run, other)
         if error is not None:
             own = " (its own)" if other.run_id == run.run_id else ""
-            errors.append((f"{names[other.run_id]} s{other.seed}{own}", other.learner, error))
+            errors.append((f"{scope.title(other)} s{other.seed}{own}", other.learner, error))
             beyond.remove(other)
         if len(errors) == MODELS:
             break
@@ -217,13 +196,14 @@ def _on_one_buffer(run: RunReader, others: Sequence[RunReader]) -> None:
         )
 
 
-def alternating_groups(run: RunReader, others: Sequence[RunReader]) -> list[RunReader]:
+def alternating_groups(
+    run: RunReader, others: Sequence[RunReader], title: Callable[[RunReader], str]
+) -> list[RunReader]:
     """The run itself, then the first run of each group, then their second runs, and so on."""
-    seen, names = Counter[str](), group_names(others)
-    turns = {}
+    seen, turns = Counter[str](), {}
     for other in others:
-        turns[other.run_id] = other.run_id != run.run_id, seen[names[other.run_id]]
-        seen[names[other.run_id]] += 1
+        turns[other.run_id] = other.run_id != run.run_id, seen[title(other)]
+        seen[title(other)] += 1
     return sorted(others, key=lambda other: turns[other.run_id])
 
 
@@ -242,7 +222,8 @@ def _list_left_out(runs: Sequence[RunReader], left_out: Mapping[str, Sequence[Ru
     names = distinct_names(runs, by_user=True)
     for reason, of in left_out.items():
         if of:
-            named = text.markdown("; ".join(names[run.run_id] for run in of))
+            steps = (f"{names[run.run_id]} ({run.status.env_step:,} steps)" for run in of)
+            named = text.markdown("; ".join(steps))
             if len(of) <= FEW_NAMED:
                 st.caption(f"Left out ({reason}): {named}.")
             else:

@@ -8,9 +8,7 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers, road, weighings
-from app.data.answer import newest_share
 from app.data.cache import cached
-from app.data.exams import at_fit
 from app.data.run_names import distinct_names, full_names
 from app.data.weighings import Dataset
 from app.figures.road import cells, road_map
@@ -22,7 +20,10 @@ from app.parts.scope import Scope
 from app.scenes.control import RoadChoice
 from app.theme import Mode, learner_label
 from app.views.attention import in_buffer, learners
+from tom.analysis.answer import newest_share
 from tom.analysis.curves import curve_points
+from tom.analysis.exams import at_fit
+from tom.analysis.weight_readers import weight_readers
 from tom.envs import ROAD
 from tom.exams import informative
 from tom.learners import LEARNERS
@@ -63,7 +64,7 @@ def page(scope: Scope) -> None:
         learners.draw(scope)
         return
     run = in_buffer.choose(
-        scope, lambda: st.columns([1, 2])[0], lambda run: bool(readers.weight_readers(run)),
+        scope, lambda: st.columns([1, 2])[0], lambda run: bool(weight_readers(run)),
         widgets.interest_key,
     )  # fmt: skip
     scope.show_missing(run, "weights")
@@ -79,7 +80,7 @@ def page(scope: Scope) -> None:
             words = f"A recording of SAC fits no model. *{LEARNERS_ON_IT}* weighs its rows."
         st.info(words)
         return
-    found = readers.weight_readers(run) or {run.learner: run}  # by its own weights, or by live ones
+    found = weight_readers(run) or {run.learner: run}  # by its own weights, or by live ones
     weigher = next(iter(found))
     if len(found) > 1:
         weigher = address.choose_one(

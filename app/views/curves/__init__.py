@@ -19,12 +19,13 @@ from app.figures.base import step_axis_title
 from app.figures.curves import group_curves, label_ends, short_title, single_run_group
 from app.parts import address, shortlinks, timeline, widgets
 from app.parts.plot import FigureJson, Follow, Point, View, chart
-from app.parts.scope import CUT_SHORT, LINES, Scope
+from app.parts.scope import Scope
 from app.views.curves import measure, numbers, runs
 from app.views.curves.measure import Measure
 from tom.analysis import statistics
 from tom.analysis.curves import Curve, Group
-from tom.analysis.scores import common_step
+from tom.analysis.grouping import SHOWN_GROUPS
+from tom.analysis.weight_readers import first_weight_reader, weight_readers
 from tom.config import SAC_ALONE
 from tom.metrics import describe
 from tom.plugins import CHARTS
@@ -84,9 +85,9 @@ def _curves(scope: Scope, row: DeltaGenerator) -> None:
         how = measure.choose(recorded)
     alive = any(run.status.alive for run in scope.runs)
     st.fragment(_panels, run_every=REFRESH_S if alive else None)(scope, chosen, how)
-    run = scope.choose_run(lambda run: bool(readers.weight_readers(run)), widgets.interest_key)
+    run = scope.choose_run(lambda run: bool(weight_readers(run)), widgets.interest_key)
     if run is not None and how.axes.x == measure.STEPS:
-        fits = readers.profiles(readers.first_weight_reader(run)).env_step.tolist()
+        fits = readers.profiles(first_weight_reader(run)).env_step.tolist()
         evaluations = run.evaluation_steps()
         if stops := sorted({*fits, *evaluations}):
             timeline.draw(fits, evaluations, timeline.chosen_step(stops))
@@ -133,7 +134,7 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
         (curves, grouped), metric = first, metrics[0]
         st.caption(remarks(grouped, curves, how, scope))
         table = tables.summary(grouped)
-        if metric not in measure.METRICS.values():
+        if metric not in ("eval/return", "eval/return_max"):
             # The highest value of another metric, such as an error, may be the worst.
             table = table.rename(columns=lambda name: name.replace("best", "highest", 1))
         st.markdown(f"**{text.markdown(metric)}** at the step that all runs of a group reach")
@@ -171,7 +172,7 @@ def _figure(
             groups, metric, PANEL_HEIGHT, singles=how.singles, axes=how.axes, window=how.window,
             styles=styles,
         )  # fmt: skip
-        if len(groups) <= LINES:
+        if len(groups) <= SHOWN_GROUPS:
             label_ends(figure, groups, styles, how.axes)
         return FigureJson.of(figure)
 
@@ -221,9 +222,6 @@ def remarks(grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, sco
         "Runs recorded at other steps are interpolated.": any(
             group.interpolated for group in grouped
         ),
-        "The table's rows end at different steps; Statistics compares at one step.": ends_differ(
-            grouped
-        ),
         "A seed run twice counts twice.": unit == "seeds" and measure.has_repeated_seed(grouped),
         "The first half of a SAC recording is random steps, which count here.": any(
             curve.learner == SAC_ALONE for curve in curves
@@ -231,14 +229,6 @@ def remarks(grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, sco
         f"Left out (ended well before the others): {text.markdown(which)}.": bool(cut),
     }
     return text.unbroken(" ".join(words for words, holds in sentences.items() if holds))
-
-
-def ends_differ(grouped: Sequence[Group]) -> bool:
-    """Whether the rows of an environment's table end at clearly different steps."""
-    ends: dict[str, list[float]] = {}
-    for group in grouped:
-        ends.setdefault(group.env, []).append(common_step(group.curves))
-    return any(min(of) < CUT_SHORT * max(of) for of in ends.values())
 
 
 def with_interval_text(table: pd.DataFrame) -> pd.DataFrame:

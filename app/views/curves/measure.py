@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import streamlit as st
@@ -12,12 +12,10 @@ from app.data.cache import get_or_make
 from app.figures.curves import Axes
 from app.parts import address
 from app.parts.plot import Part, View
-from tom.analysis.curves import Band, Curve, Group, Statistic, curve_points, groups, points_against
+from tom.analysis.curves import Band, Curve, Group, Statistic, curve_of, groups, points_against
 from tom.analysis.settings import Kind
 from tom.record.reader import RunReader
 
-RETURN, RUNNING_MAXIMUM = "return", "running maximum"
-METRICS = {RETURN: "eval/return", RUNNING_MAXIMUM: "eval/return_max"}
 STEPS, SHARE, WALL = "env steps", "share of the run", "wall time, minutes"
 STATISTICS: dict[str, Statistic] = {"mean": "mean", "median": "median", "IQM": "iqm"}
 BANDS: dict[str, Band] = {
@@ -96,25 +94,21 @@ def grouped(
 def cache_key(runs: Sequence[RunReader], kinds: Mapping[str, Kind]) -> tuple[object, ...]:
     """What the curves and groups of runs depend on, for the key of a cache."""
     return tuple(
-        (run.path, run.status.total, run.version("metrics"),
-         readers.first_weight_reader(run).version("metrics"), kinds[run.run_id])
+        (run.path, run.status.total, readers.metrics_version(run), kinds[run.run_id])
         for run in runs
-    )  # fmt: skip
+    )
 
 
-def curve(run: RunReader, metric: str, x: str = STEPS, kind: Kind | None = None) -> Curve:
+def curve(run: RunReader, metric: str, x: str, kind: Kind) -> Curve:
     """The metric of one run along the axis, in the order it was recorded."""
     frame = readers.metrics(run)
-    if x in (STEPS, SHARE):
-        step, value = curve_points(frame, metric)
-        if x == SHARE:
-            step = step / max(run.status.total, 1)
-    else:
-        step, value = points_against(frame, metric, "time/wall_s" if x == WALL else x)
-        if x == WALL:
-            step = step / 60
-    variant = kind.variant if kind else ""
-    return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value, variant, kind)
+    made = replace(curve_of(run, frame, metric), variant=kind.variant, group=kind)
+    if x == SHARE:
+        return replace(made, step=made.step / max(run.status.total, 1))
+    if x == STEPS:
+        return made
+    step, value = points_against(frame, metric, "time/wall_s" if x == WALL else x)
+    return replace(made, step=step / 60 if x == WALL else step, value=value)
 
 
 def has_repeated_seed(grouped: Sequence[Group]) -> bool:

@@ -29,6 +29,7 @@ from tom.analysis.scores import (
 )
 from tom.config import SAC_ALONE
 
+RETURN = "eval/return"
 NO_SAC = (
     "SAC recordings are left out: SAC never learns from their first half, which is random, so at "
     "the same step it has taken fewer steps of its own."
@@ -36,26 +37,22 @@ NO_SAC = (
 
 
 def draw(scope: Scope) -> None:
-    """The distribution of one score per run in one environment."""
-    row = st.columns([4, 3, 3, 3], vertical_alignment="bottom")
+    """The distribution of one score of the return per run in one environment."""
+    row = st.columns([3, 3, 3, 4], vertical_alignment="bottom")
     envs = sorted({run.env for run in scope.shown})
     env = envs[0]
     if len(envs) > 1:
-        env = address.choose_one(row[3].selectbox, "Task compared", envs, "env", env)
-    of = address.choose_one(
-        row[0].segmented_control, "Of", list(measure.METRICS), "of", measure.RETURN, required=True
-    )
+        env = address.choose_one(row[2].selectbox, "Task compared", envs, "env", env)
     score = address.choose_one(
-        row[1].selectbox, "Score of a run", SCORES, "score", SCORES[0],
+        row[0].selectbox, "Score of a run", SCORES, "score", SCORES[0],
         help="each up to the step that every run reaches, so that longer runs have no advantage; "
         "mean height: area under the curve divided by its length, from the first step that every "
         "run has",
     )  # fmt: skip
-    metric = measure.METRICS[of]
     here = [run for run in scope.shown if run.env == env and run.learner != SAC_ALONE]
     if len(here) < sum(run.env == env for run in scope.shown):
         st.caption(NO_SAC)
-    _, every = measure.grouped(here, scope.kinds, metric)
+    _, every = measure.grouped(here, scope.kinds, RETURN)
     if not every:
         st.info("None of these runs has been evaluated yet.")
         return
@@ -67,18 +64,18 @@ def draw(scope: Scope) -> None:
     since = common_start(curve for group in grouped for curve in group.curves)
     scores = [scores_of(group.curves, score, until, since) for group in grouped]
     level = address.number_input(
-        row[2].number_input, "Steps to reach", "reach", default_level(np.concatenate(scores)),
-        (env, metric, score), step=None, format="%.6g",
+        row[1].number_input, "Steps to reach", "reach", default_level(np.concatenate(scores)),
+        (env, score), step=None, format="%.6g",
         help="sample efficiency: the first recorded step at which a run is at this value",
     )  # fmt: skip
     _remarks(scope, every, grouped, until, since if score == HEIGHT else None)
     styles = [scope.styles[group.kind] for group in grouped]
     names = [look.title for look in styles]
-    keep = " ".join([env, metric, *(curve.run_id for group in grouped for curve in group.curves)])
+    keep = " ".join([env, *(curve.run_id for group in grouped for curve in group.curves)])
     _profiles(styles, scores, score, keep)
     _improvement(styles, scores, f"{score} {keep}")
     table = reached(grouped, names, level, until)
-    _efficiency(table, metric, level, until)
+    _efficiency(table, level, until)
     with st.expander("The score of each run"):
         of_runs = (
             {"group": name, "run": curve.run_id, "seed": curve.seed, "score": value}
@@ -167,9 +164,9 @@ def _improvement(styles: Sequence[Style], scores: Sequence[NDArray], keep: str) 
         chart(figure, "improvement", "probability that a run of one group beats one of another")
 
 
-def _efficiency(table: pd.DataFrame, metric: str, level: float, until: float) -> None:
+def _efficiency(table: pd.DataFrame, level: float, until: float) -> None:
     st.markdown(
-        f"**Sample efficiency**: env steps until {text.markdown(metric)} is {level:,.6g}; "
+        f"**Sample efficiency**: env steps until the return is {level:,.6g}; "
         f"runs are followed up to step {until:,.0f}, which every run reaches"
     )
     steps = {

@@ -17,6 +17,7 @@ from app.parts.widgets import EVALUATIONS
 from app.scenes.control import ReplayChoice
 from app.scenes.film import SECONDS, cinema, has_story, story
 from app.views.replays import episode
+from tom.analysis.weight_readers import first_weight_reader
 from tom.errors import UserError
 from tom.record.reader import RunReader
 
@@ -66,7 +67,7 @@ def _side_by_side(scope: Scope) -> None:
         (
             names[run.run_id],
             widgets.curve(run, "eval/return"),
-            readers.profiles(readers.first_weight_reader(run)),
+            readers.profiles(first_weight_reader(run)),
         )
         for run in chosen
     ]

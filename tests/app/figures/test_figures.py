@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from studio_runs import PENDULUM_TOM, info
 
 from app.data import readers
-from app.data.exams import Exams
 from app.figures.base import decimate, relative_scale
 from app.figures.curves import CORE, POINTS, Axes, group_curves, single_run_group
 from app.figures.exams import FITS, errors_by_age, footprint_error_return
@@ -28,6 +27,7 @@ from app.figures.weights import (
 )
 from app.theme import learner_colour, learner_symbol
 from tom.analysis.curves import GRID, Curve, aggregate
+from tom.analysis.exams import Exams
 from tom.record.decode import Profiles
 
 WINS = pd.DataFrame(

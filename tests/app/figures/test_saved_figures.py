@@ -18,14 +18,22 @@ from PIL import Image
 from studio_pages import in_browser, saved
 
 from app import theme
-from app.data.exams import Exams
-from app.figures.curves import GAP, Axes, group_curves, label_ends, spread_apart, styles_of
+from app.figures.curves import (
+    GAP,
+    Axes,
+    group_curves,
+    label_ends,
+    opens_until,
+    spread_apart,
+    styles_of,
+)
 from app.figures.exams import footprint_error_return
 from app.figures.paper import KINDS, SYMBOLS, WIDTHS, paper_figure
 from app.figures.statistics import improvement
 from app.figures.weights import median_profiles, over_fits
 from app.figures.why import waterfall
 from tom.analysis.curves import Curve, Group, aggregate
+from tom.analysis.exams import Exams
 from tom.analysis.why import Sum
 from tom.record.decode import Profiles
 
@@ -62,6 +70,18 @@ def test_places_are_spread_apart_and_keep_their_order(places: list[float], gap: 
     apart = np.diff(np.sort(before))
     if not len(apart) or apart.min() >= gap:
         assert after == pytest.approx(before)
+
+
+def test_one_longer_run_leaves_the_others_the_width() -> None:
+    steps = np.arange(0, 150_000, 1000)
+    long = Curve("long", "hopper", "tom", "paper", 9, steps, steps / 300)
+    several, alone = group("tom", 90), aggregate([replace(long, learner="mle")])
+    late = aggregate([replace(long, learner="pmac", step=steps[90:], value=steps[90:] / 600)])
+    for groups in ([aggregate([*several.curves, long])], [several, alone, late]):
+        figure = labelled(groups)
+        assert figure.to_dict()["layout"]["xaxis"]["range"] == [0, STEPS[-1]]
+        assert max(one["y"] for one in labels(figure)) < 200  # where the lines leave the figure
+    assert opens_until([alone]) == opens_until([aggregate([several.curves[0], long])]) == steps[-1]
 
 
 def test_a_line_is_named_at_its_end_with_its_runs_in_its_colour() -> None:

@@ -11,7 +11,7 @@ address.enter_page("page")
 first = address.choose_one(st.selectbox, "First", ["a", "b"], "first", "a", str.upper)
 if first == "b":
     address.choose_many("Then", ["x", "y", "z"], "then", default=["x"])
-address.switch("On", "on", default=True)
+address.switch("On", "on")
 address.text_input("Words", "words")
 st.session_state["seen"] = address.value_of("own", list)
 address.write("own", st.session_state["own"])
@@ -31,15 +31,15 @@ def address(app: AppTest) -> dict[str, list[str]]:
 
 
 def test_an_address_is_what_the_page_shows() -> None:
-    app = page(first="B", then=["z", "y", "gone"], on="false", words="hi", own="1~2", other="kept")
+    app = page(first="B", then=["z", "y", "gone"], on="true", words="hi", own="1~2", other="kept")
     assert not app.exception
     assert (app.selectbox[0].value, app.multiselect[0].value) == ("b", ["z", "y"])
-    assert (app.toggle[0].value, app.text_input[0].value) == (False, "hi")
+    assert (app.toggle[0].value, app.text_input[0].value) == (True, "hi")
     assert app.session_state["seen"] == ["1~2"]
     assert address(app) == {
         "first": ["b"],
         "then": ["z", "y"],
-        "on": ["false"],
+        "on": ["true"],
         "words": ["hi"],
         "own": ["1~2"],
         "other": ["kept"],
@@ -47,7 +47,7 @@ def test_an_address_is_what_the_page_shows() -> None:
 
 
 def test_the_usual_is_not_in_the_address_and_what_makes_no_sense_is_taken_out() -> None:
-    app = page(first="nonsense", on="true")
+    app = page(first="nonsense", on="false")
     assert app.selectbox[0].value == "a"
     assert address(app) == {}
     app.selectbox[0].select("b").run()
@@ -57,13 +57,13 @@ def test_the_usual_is_not_in_the_address_and_what_makes_no_sense_is_taken_out() 
 
 def test_a_choice_that_is_not_drawn_for_a_while_is_what_it_was() -> None:
     app = page(first="b", then="y")
-    app.toggle[0].set_value(False).run()
-    assert address(app) == {"first": ["b"], "then": ["y"], "on": ["false"]}
+    app.toggle[0].set_value(True).run()
+    assert address(app) == {"first": ["b"], "then": ["y"], "on": ["true"]}
     app.selectbox[0].select("a").run()
-    assert address(app) == {"then": ["y"], "on": ["false"]}
+    assert address(app) == {"then": ["y"], "on": ["true"]}
     app.selectbox[0].select("b").run()
     assert app.multiselect[0].value == ["y"]  # as it was left
-    assert address(app) == {"first": ["b"], "then": ["y"], "on": ["false"]}
+    assert address(app) == {"first": ["b"], "then": ["y"], "on": ["true"]}
     assert not app.exception
 
 

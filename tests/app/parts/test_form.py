@@ -30,21 +30,6 @@ def test_defaults_are_the_presets() -> None:
     assert road["expert_first"].choices == ("true", "false")
 
 
-@pytest.mark.parametrize(
-    ("words", "numbers"), [("0", [0]), ("0-2", [0, 1, 2]), ("3, 1 1-2", [3, 1, 2])]
-)
-def test_seeds(words: str, numbers: list[int]) -> None:
-    assert form.parse_seeds(words) == numbers
-
-
-@pytest.mark.parametrize(
-    "words", ["", "a", "1-", "-1", "0-99999999999", "2-1", "\u00b2", "9" * 5000]
-)
-def test_words_that_are_no_seeds(words: str) -> None:
-    with pytest.raises(UserError, match="0-2"):
-        form.parse_seeds(words)
-
-
 def test_a_training_that_only_explores_is_refused() -> None:
     with pytest.raises(UserError, match="all exploration"):
         form.train_arguments("hopper", "tom", "paper", 0, {"steps": "12"}, "runs")

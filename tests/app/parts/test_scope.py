@@ -14,7 +14,8 @@ from studio_runs import PENDULUM_TOM, altered, info, trains_elsewhere
 
 from app.data import readers
 from app.parts import scope
-from app.parts.scope import CUT_SHORT, LINES, Scope, matching
+from app.parts.scope import Scope, matching
+from tom.analysis.grouping import CUT_SHORT, SHOWN_GROUPS
 from tom.analysis.settings import USUAL
 from tom.record import layout, manage
 from tom.record.reader import RunReader
@@ -70,18 +71,18 @@ def test_groups_beyond_the_first_are_folded_until_they_are_opened(
     store: Path, state: dict[str, list[str]]
 ) -> None:
     one = info(store, PENDULUM_TOM)
-    runs = [altered(one, run_id=f"run-{i}", learner=f"own {i}") for i in range(LINES + 2)]
+    runs = [altered(one, run_id=f"run-{i}", learner=f"own {i}") for i in range(SHOWN_GROUPS + 2)]
     found = scope._scope(runs, USUAL)
-    assert len(found.shown) == LINES
+    assert len(found.shown) == SHOWN_GROUPS
     folded = sorted(found.folded)
     assert found.hidden == found.folded
     scope.toggle(found, folded[0])
     assert state == {"hide": [], "show": folded[:1]}
     found = scope._scope(runs, USUAL)
-    assert len(found.shown) == LINES + 1
+    assert len(found.shown) == SHOWN_GROUPS + 1
     scope.toggle(found, folded[0])
     assert shown(scope._scope(runs, USUAL)) == shown(scope._scope(runs, USUAL))
-    assert len(scope._scope(runs, USUAL).shown) == LINES
+    assert len(scope._scope(runs, USUAL).shown) == SHOWN_GROUPS
 
 
 def test_examples_are_folded_beside_runs_of_ones_own(

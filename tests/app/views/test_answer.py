@@ -1,7 +1,8 @@
 """Answer: its three sentences hold the numbers that the runs' files give, computed another way."""
 
 import json
-from dataclasses import replace
+import re
+import shutil
 from itertools import combinations
 from pathlib import Path
 
@@ -11,11 +12,10 @@ import pytest
 from studio_pages import Show, array, draw, figures, plain, trace
 
 import tom
-from app.data import answer
-from app.data.answer import Contrast, Side
-from tom.analysis.curves import Curve
+from tom.analysis.answer import QUESTIONS
+from tom.cli import main
 from tom.envs import ENVS
-from tom.record.decode import Profiles
+from tom.errors import BAD_INPUT
 from tom.record.files import read_json_lines
 
 RUNS = Path(__file__).parents[3] / "runs"
@@ -131,61 +131,38 @@ def test_the_weight_is_where_it_goes_most_with_a_dimension(groups, sentences):
     assert f"where {name} is {'higher' if among[column] > 0 else 'lower'}" in told
 
 
-def test_no_part_stands_out_where_no_plane_explains_the_weights():
-    seen = Contrast(0, 100, {"speed": 1}, 0.3)
-    looks = [answer.where(replace(side([1.0]), contrast=replace(seen, explained=share))).sentence
-             for share in (0.3, 0.05)]  # fmt: skip
-    assert ["speed" in sentence for sentence in looks] == [True, False]
+def test_a_fit_whose_weights_are_written_anew_has_a_new_sentence(
+    groups, tmp_path: Path, show: Show
+):
+    path = next(path for path in groups[0] if (path / "buffer").is_dir())
+    shutil.copytree(path, tmp_path / path.name)
+    show(tmp_path)
+
+    def told() -> str:
+        said = (plain(one.value) for one in draw("answer").markdown)
+        return next(words for words in said if "newest fifth" in words)
+
+    before = told()
+    for snapshot in (tmp_path / path.name / "weights").glob("snapshot-*.parquet"):
+        table = pd.read_parquet(snapshot)
+        table[::-1].reset_index(drop=True).to_parquet(snapshot)
+    assert told() != before
 
 
-def side(returns: list[float], newest: float = 0.5, *, uniform: bool = False) -> Side:
-    """A group whose runs end at these returns, with a share of the weight on the newest fifth."""
-    bins = np.array([[5 * (1 - newest) / 4] * 4 + [5 * newest]])
-    fit = np.array([100])
-    profiles = Profiles(fit, bins, fit, np.array([0.5]), np.array([0.0]), fit)
-    curves = [
-        Curve(str(i), "hopper", "tom", "paper", i, np.array([100]), np.array([value]))
-        for i, value in enumerate(returns)
-    ]
-    return Side("ours", uniform, [profiles] * len(returns), curves, (), -np.inf, None)
-
-
-def test_five_seeds_that_all_win_help_and_four_cannot_tell():
-    high, low = [10.0, 11, 12, 13, 14], [1.0, 2, 3, 4, 5]
-    assert answer.helps(side(high), side(low)).word == "yes"
-    assert answer.helps(side(low), side(high)).word == "no"
-    assert answer.helps(side(high), side(high)).word == "unclear"
-    assert answer.helps(side(high[:4]), side(low)).word == "unknown"
-
-
-def test_a_run_that_has_just_begun_changes_no_comparison():
-    ours, theirs = side([10.0, 11, 12, 13, 14]), side([1.0, 2, 3, 4, 5])
-    new = Curve("new", "hopper", "tom", "paper", 5, np.array([10]), np.array([0.0]))
-    more = answer.helps(replace(ours, returns=[*ours.returns, new]), theirs)
-    assert more == answer.helps(ours, theirs)
-
-
-def test_what_three_scores_of_few_seeds_could_show_by_chance_is_no_yes():
-    """Of 252 arrangements of five and five 8 are as far from a half as 23 wins of 25: p .032."""
-    ours, theirs = [5.0, 7, 8, 9, 10], [1.0, 2, 3, 6, 6.5]
-    found = answer.helps(side(ours), side(theirs))
-    assert found.word == "unclear"
-    assert "p 0.032" in found.sentence
-    assert "0.095" in found.more
-
-
-@pytest.mark.parametrize(("newest", "word"), [(0.6, "yes"), (0.05, "no"), (0.2, "unclear")])
-def test_where_it_looks(newest: float, word: str):
-    assert answer.where(side([1.0, 2.0], newest)).word == word
-
-
-@pytest.mark.parametrize(("ratio", "word"), [(88.0, "yes"), (np.nan, "yes"), (0.5, "no")])
-def test_road_and_rocks_has_a_road_and_no_age(ratio: float, word: str):
-    frame = pd.DataFrame({"weights/road_share": [0.99, np.nan], "weights/road_ratio": [ratio, 1]})
-    found = answer.on_road("ours", [frame, frame])
-    assert found.word == word
-    assert "99 %" in found.sentence
-    assert ("88" in found.sentence) == (ratio == 88)
+@pytest.mark.parametrize("task", ["hopper", "road-and-rocks"])
+def test_the_terminal_says_what_the_page_says(
+    task: str, show: Show, capsys: pytest.CaptureFixture[str]
+):
+    show(RUNS)
+    shown = [plain(one.value) for one in draw("answer", task=task).markdown]
+    said = [re.sub(r"\[([^]]+)\]\(glossary[^)]*\)", r"\1", words) for words in shown]
+    assert main(["answer", "--store", str(RUNS), "--env", task, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert list(told["answers"]) == list(QUESTIONS)
+    for found in told["answers"].values():
+        assert any(words.endswith(found["verdict"]) for words in said)
+        assert found["sentence"] in said
+    assert main(["answer", "--store", str(RUNS), "--env", task, "--one", "no group"]) == BAD_INPUT
 
 
 def test_road_and_rocks_has_the_map_of_a_run_that_keeps_its_rows(show: Show):
@@ -200,12 +177,3 @@ def test_road_and_rocks_has_the_map_of_a_run_that_keeps_its_rows(show: Show):
     known = (count > 0) & (weight > 0)
     octaves = np.clip(np.log2(weight[known] / count[known]), -4, 4)  # the ends of its scale
     assert cells[known] == pytest.approx(octaves, abs=0.02)
-
-
-def test_a_learner_that_weighs_alike_looks_nowhere_and_has_no_footprint():
-    alike = side([1.0], uniform=True)
-    assert (answer.where(alike).word, answer.on_policy(alike).word) == ("unclear", "unclear")
-
-
-def test_without_exams_the_policys_place_is_unknown():
-    assert answer.on_policy(side([1.0, 2.0])).word == "unknown"

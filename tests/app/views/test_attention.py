@@ -12,11 +12,11 @@ from streamlit.testing.v1 import AppTest
 from studio_pages import array, captions, draw, figures, is_chart, parts, recorded
 from studio_runs import PENDULUM_TOM
 
-from app.data.answer import newest_share
 from app.figures.weights import FLOOR
 from app.parts import timeline
 from app.parts.plot import Point
 from app.views.attention import _go_to
+from tom.analysis.answer import newest_share
 from tom.record import layout
 from tom.record.decode import Profiles
 from tom.record.reader import RunReader

@@ -25,9 +25,9 @@ from app.parts.plot import Point, View
 from app.servers.pages import routes
 from app.theme import learner_colour
 from app.views import curves as page
-from app.views.curves import ends_differ, measure, numbers
+from app.views.curves import measure, numbers
 from app.views.curves.measure import favourites_first
-from tom.analysis.curves import Curve, Group, aggregate
+from tom.analysis.curves import Curve
 from tom.analysis.scores import BEST, FINAL
 from tom.plugins import CHARTS
 from tom.record import layout, manage
@@ -330,16 +330,6 @@ def test_a_profile_has_the_same_band_beside_any_other_group(
     for look in LOOKS:
         before, after = [(one.low, one.high) for one in shown if one.style == look]
         assert np.array_equal(before, after)
-
-
-def test_rows_that_ends_differ_are_told() -> None:
-    def group(learner: str, last: int, env: str = "ant") -> Group:
-        step = np.arange(100, last + 1, 100)
-        return aggregate([Curve(learner, env, learner, "paper", 0, step, np.ones(len(step)))])
-
-    assert ends_differ([group("tom", 4000), group("mle", 2000)])
-    assert not ends_differ([group("tom", 4000), group("mle", 3900)])
-    assert not ends_differ([group("tom", 4000), group("mle", 2000, "hopper")])
 
 
 # Settings and runs

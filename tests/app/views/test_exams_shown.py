@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +24,9 @@ from studio_pages import (
 from studio_runs import PENDULUM_TOM, altered, info, set_status
 
 from app.data import buffer
-from app.data.exams import Exams, ranking
 from app.views.answer.numbers import alternating_groups, split_by_length, table, verdict
 from app.views.attention import difference_from_recorded, footprint_sentence
+from tom.analysis.exams import Exams, ranking
 from tom.readable import UNKNOWN, short
 from tom.record import checkpoint
 from tom.record.reader import RunReader
@@ -192,12 +193,13 @@ def test_a_buffer_that_cannot_be_read_is_no_error(own: Path) -> None:
 
 def test_models_of_all_groups_come_before_a_groups_second_one(store: Path) -> None:
     runs = [info(store, name) for name in (OTHER_TOM, PENDULUM_TOM, MLE)]
-    assert [run.run_id for run in alternating_groups(runs[1], runs)] == [
+    learner = attrgetter("learner")
+    assert [run.run_id for run in alternating_groups(runs[1], runs, learner)] == [
         PENDULUM_TOM,
         OTHER_TOM,
         MLE,
     ]
-    assert [run.run_id for run in alternating_groups(runs[2], runs)] == [
+    assert [run.run_id for run in alternating_groups(runs[2], runs, learner)] == [
         MLE,
         OTHER_TOM,
         PENDULUM_TOM,

@@ -128,7 +128,7 @@ def test_the_form_writes_the_command(store: Path) -> None:
     app = form()
     app.selectbox(key="start env").select("hopper").run()
     app.session_state[start.FOLD] = False
-    app.text_input(key="start seeds").input("0-1").run()
+    app.multiselect(key="start seeds").select(1).run()
     app.text_input(key="start set sac.lr").input("0.001").run()
     assert "2" in app.button(key="start").label
     shown = next(code.value for code in app.code if "tom train" in code.value)

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from app.data.exams import Exams, at_fit, exams_of, ranking
+from tom.analysis.exams import Exams, at_fit, exams_of, ranking
 from tom.analysis.scores import counted_from
 
 NAN = float("nan")

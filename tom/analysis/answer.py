@@ -3,7 +3,7 @@
 Where does it look? Is that where the policy goes? Does it help?
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,16 +11,19 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from app.data import buffer
-from app.data.cache import cached
-from app.data.exams import Exams, last_steps, medians, ranking
 from tom.analysis import planes, scores, statistics
-from tom.analysis.curves import Curve
+from tom.analysis.curves import Curve, curve_of
+from tom.analysis.exams import Exams, exams_of, last_steps, medians, ranking
+from tom.analysis.grouping import has_uniform_learner
 from tom.analysis.statistics import RANKED, Interval
+from tom.analysis.weight_readers import first_weight_reader
+from tom.envs import ROAD
+from tom.errors import UserError
+from tom.learners import learner_label
 from tom.readable import percent, score, short
 from tom.record.decode import Profiles
 from tom.record.reader import RunReader
-from tom.record.task_record import dimension_names
+from tom.record.task_record import dimension_names, task_of
 
 Floats = NDArray[np.float64]
 Word = Literal["yes", "no", "unclear", "unknown"]
@@ -28,6 +31,7 @@ SIGNIFICANT = 0.05
 """the p below which two groups are said to differ"""
 STANDS_OUT = 0.1
 """the least share of the log weights that a plane explains if a part of the buffer stands out"""
+QUESTIONS = ("Where does it look?", "Is that where the policy goes?", "Does it help?")
 ROAD_METRICS = ("weights/road_share", "weights/road_ratio")
 NEWEST = 0.2
 """the share of the weight on the newest fifth if every transition counts the same"""
@@ -55,33 +59,85 @@ class Contrast:
     """the share of the log weights that the contrast plane explains (`tom.analysis.planes`)"""
 
 
-@cached("buffer", "snapshot")
 def contrast(run: RunReader, step: int) -> Contrast | None:
-    """That of the fit at `step`; None if its buffer is not kept."""
-    weighed = buffer.rows(run, step)
-    if weighed is None:
+    """That of the fit at `step`, whose weights are stored; None if its buffer is not kept."""
+    weight, record = run.snapshot(step)["weight"].to_numpy(np.float64), run.buffer()[0]
+    end = run.profiles().rows_at(step)
+    if not 0 < len(weight) <= end <= len(record):
         return None
-    names = dimension_names(run.env, weighed.rows, buffer.observation_names(run))
-    plane = planes.contrast_of(weighed.rows, weighed.weight, names)
-    share = planes.explained_share(planes.of_rows(plane, weighed.rows), weighed.weight)
+    rows = record[end - len(weight) : end]
+    try:
+        described = () if run.env == ROAD else task_of(run).obs_names
+    except UserError:  # a task whose code is not here
+        described = ()
+    names = dimension_names(run.env, rows, described)
+    plane = planes.contrast_of(rows, weight, names)
+    share = planes.explained_share(planes.of_rows(plane, rows), weight)
     largest = planes.loadings(plane.axes[:, 0], planes.feature_names(*names))
     return Contrast(run.seed, step, largest, share)
 
 
 @dataclass(frozen=True)
 class Side:
-    """A group of runs that differ only in the seed; its runs' data, in one order (n,)."""
+    """A group of runs of one task that differ only in the seed; their data, in one order (n,)."""
 
     name: str
+    env: str
     uniform: bool
     """whether its learner counts every transition the same"""
+    live: bool
+    """whether the weights are live ones of training loops, which do not learn from them"""
     profiles: Sequence[Profiles]
     returns: Sequence[Curve]
+    metrics: Sequence[pd.DataFrame]
     exams: Sequence[Exams]
     weighs_from: float
     """the step of the fit from which on every run weighs; -infinity if none does"""
     contrast: Contrast | None
     """that of the first run that keeps its buffer"""
+
+
+def side_of(
+    title: str,
+    loops: Sequence[RunReader],
+    metrics: Callable[[RunReader], pd.DataFrame] = RunReader.metrics,
+    profiles: Callable[[RunReader], Profiles] = RunReader.profiles,
+    contrast: Callable[[RunReader, int], Contrast | None] = contrast,
+    escaped: Callable[[str], str] = str,
+) -> Side:
+    """The runs of a group with this title, at least one, read by these functions.
+
+    `escaped` makes of a name what stands in a sentence, which is Markdown.
+    """
+    runs = [first_weight_reader(run) for run in loops]
+    live = [run for run, loop in zip(runs, loops, strict=True) if run is not loop]
+    name = escaped(title + "".join(f" ({learner_label(run.learner)}, live)" for run in live[:1]))
+    tables = [metrics(run) for run in runs]
+    kept = (
+        contrast(run, run.snapshot_steps()[-1])  # of the last kept fit
+        for run in runs
+        if run.snapshot_steps() and run.version("buffer") and not has_uniform_learner(run)
+    )
+    return Side(
+        name,
+        loops[0].env,
+        all(map(has_uniform_learner, runs)),  # grouped by a setting, learners are mixed
+        bool(live),
+        [profiles(run) for run in runs],
+        [curve_of(run, metrics(run), "eval/return") for run in loops],
+        tables,
+        [
+            exams_of(run.run_id, run.learner, run.seed, name, table)
+            for run, table in zip(runs, tables, strict=True)
+        ],
+        scores.counted_from(tables),
+        next(filter(None, kept), None),
+    )  # fmt: skip
+
+
+def answers(one: Side, other: Side | None) -> tuple[Answer, Answer, Answer]:
+    """The answers to `QUESTIONS`: of `one`, compared with `other` if there is one."""
+    return where(one), on_policy(one), helps(one, other)
 
 
 def newest_share(profiles: Profiles) -> Floats:
@@ -104,6 +160,8 @@ def where(side: Side) -> Answer:
             "unclear", "Everywhere equally", f"{side.name} counts every transition the same.",
             "Choose a learner that weighs, such as TOM or PMAC.",
         )  # fmt: skip
+    if side.env == ROAD:
+        return _on_road(side)
     if not last:
         return Answer(
             "unknown", "Cannot be told yet", f"{side.name} has not fitted a model yet.",
@@ -125,13 +183,13 @@ def where(side: Side) -> Answer:
     return Answer("unclear", "At no age in particular", sentence)
 
 
-def on_road(name: str, frames: Sequence[pd.DataFrame]) -> Answer:
+def _on_road(side: Side) -> Answer:
     """Where the runs' weights lie on road-and-rocks, whose rows have no age; by their metrics."""
-    wanted = (frame.reindex(columns=list(ROAD_METRICS)) for frame in frames)
+    wanted = (frame.reindex(columns=list(ROAD_METRICS)) for frame in side.metrics)
     last_rows = (frame.dropna(subset=ROAD_METRICS[0])[-1:].to_numpy(np.float64) for frame in wanted)
     found = np.concatenate([np.empty((0, 2)), *last_rows])  # (runs, 2)
     if not len(found):
-        return Answer("unknown", "Cannot be told yet", f"{name} has not fitted a model yet.")
+        return Answer("unknown", "Cannot be told yet", f"{side.name} has not fitted a model yet.")
     share = scores.interval(found[:, 0])
     ratio = np.nan_to_num(found[:, 1], nan=np.inf)  # NaN: no weight on the rocks
     times = float(np.median(ratio))
@@ -141,7 +199,7 @@ def on_road(name: str, frames: Sequence[pd.DataFrame]) -> Answer:
         else "counts infinitely more than"
     )
     sentence = (
-        f"{name} puts **{percent(share.value, 0)}** of its weight on the road"
+        f"{side.name} puts **{percent(share.value, 0)}** of its weight on the road"
         f"{_interval_text(share)}; a random transition there {counts} one on the "
         f"rocks (median, {_count(len(found))})."
     )
@@ -169,6 +227,12 @@ def _contrast_sentence(contrast: Contrast) -> str:
 
 def on_policy(side: Side) -> Answer:
     """Whether the weights bring the buffer nearer to what the policy does next."""
+    if side.env == ROAD:
+        return Answer(
+            "unknown", "Not asked here",
+            "Road-and-rocks learns from a fixed data set: nothing is collected after a fit. "
+            "Attention shows the weights on the map.",
+        )  # fmt: skip
     if side.uniform:
         return Answer(
             "unclear", "It does not choose", f"{side.name} weighs every transition the same, so "
@@ -204,8 +268,18 @@ def on_policy(side: Side) -> Answer:
     return Answer("unclear", "Not clearly", sentence)
 
 
-def helps(one: Side, other: Side) -> Answer:
+def helps(one: Side, other: Side | None) -> Answer:
     """Whether runs of `one` return more, and err less where their policy goes, than of `other`."""
+    if one.live:
+        return Answer(
+            "unknown", "Not asked here", "Live weights are computed alongside a training loop, "
+            "which does not learn from them.", "`run.latest_weights()` would give them to it.",
+        )  # fmt: skip
+    if other is None:
+        return Answer(
+            "unknown", "Cannot be told yet", "There is nothing to compare it with.",
+            "Train MLE, which weighs every row the same.",
+        )  # fmt: skip
     error = _error_sentence(one, other)
     pairs = [[c for c in side.returns if len(c.step)] for side in (one, other)]
     if not all(pairs):
@@ -246,7 +320,7 @@ def helps(one: Side, other: Side) -> Answer:
     sentence = (
         f"{at.capitalize()}, {one.name} returns **{means[0]}** on average and {other.name} "
         f"**{means[1]}**; a random run of {one.name} beats one of {other.name} {chance}. {error}"
-    )
+    ).rstrip()
     if p >= SIGNIFICANT:
         return Answer("unclear", "Not clearly", sentence)
     comes_out = "more" if beats.value > 0.5 else "less"
