@@ -95,7 +95,7 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
     if sides[0].env == ROAD:
         cards = ON_ROAD, *CARDS[1:]
         drawn = [None if sides[0].uniform else _map(mine), *drawn[1:]]
-    one, other = (*sides, None)[:2]
+    one, other = sides[0], sides[1] if len(sides) > 1 else None
     grid = st.container(horizontal=True, key="cards")
     for question, (link, what, _), answered, chart_of in zip(
         QUESTIONS, cards, answer.answers(one, other), drawn, strict=True

@@ -99,8 +99,8 @@ class RerunView:
         for path in table.columns.drop("env_step"):
             known = table[["env_step", path]].dropna()
             if len(known):
-                times = rr.TimeColumn("env_step", sequence=known["env_step"].to_numpy())
-                columns = rr.Scalars.columns(scalars=known[path].to_numpy())
+                times = rr.TimeColumn("env_step", sequence=np.asarray(known["env_step"]))
+                columns = rr.Scalars.columns(scalars=np.asarray(known[path]))
                 self.stream.send_columns(path, [times], columns)
 
     def profile(self, env_step: int, bins: NDArray[np.float64]) -> None:
