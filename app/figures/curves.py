@@ -148,12 +148,13 @@ def opens_until(groups: Sequence[Group]) -> float:
     """The step at which a figure of these groups ends until it is zoomed out.
 
     Half the runs of some group of several reach it, so that a single longer run does not leave the
-    others a small part of the width.
+    others a small part of the width; and so does every training that is running.
     """
     ends = [sorted(curve.step[-1] for curve in group.curves) for group in groups]
     several = [of[len(of) // 2] for of in ends if len(of) > 1]
+    growing = [curve.step[-1] for group in groups for curve in group.curves if curve.growing]
     last = max(of[-1] for of in ends)
-    until = max(several, default=last)
+    until = max([*several, *growing], default=last)
     return float(until if until < CUT_SHORT * last else last)
 
 

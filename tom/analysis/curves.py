@@ -41,6 +41,8 @@ class Curve:
     variant: str = ""
     group: Kind | None = None
     """what the runs of its group have in common, if they differ in more than the seed"""
+    growing: bool = False
+    """whether its training is running"""
 
     @property
     def final(self) -> float:
@@ -120,7 +122,8 @@ def curve_points(frame: pd.DataFrame, metric: str) -> tuple[NDArray[np.int64], N
 def curve_of(run: RunReader, frame: pd.DataFrame, metric: str) -> Curve:
     """One metric of a run, whose metrics are in `frame`, against env steps."""
     step, value = curve_points(frame, metric)
-    return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value)
+    named = run.run_id, run.env, run.learner, run.preset, run.seed
+    return Curve(*named, step, value, growing=run.status.alive)
 
 
 def points_against(

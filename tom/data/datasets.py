@@ -200,6 +200,8 @@ def _minari(path: Path) -> Columns:
         raise UserError(f"{about}: data format '{form}' is not known: hdf5, arrow, parquet")
     given = _hdf5_episodes(archive) if form == "hdf5" else _arrow_episodes(folder, form)
     episodes = [_episode(where, arrays) for where, arrays in given]
+    if not episodes:
+        raise UserError(f"{path} holds no episodes: record or download the dataset again")
     return {name: np.concatenate([episode[name] for episode in episodes]) for name in AXES}
 
 
@@ -247,7 +249,10 @@ def _checked(path: Path, given: Columns, names: Iterable[str]) -> Columns:
     """
     columns: Columns = {}
     for name, values in given.items():
-        columns[ALIASES.get(name, name)] = _numbers(path, name, values)
+        known = ALIASES.get(name, name)
+        if known in columns:
+            raise UserError(f"{path} has '{known}' twice, once as '{name}': keep one of them")
+        columns[known] = _numbers(path, name, values)
     missing = [n for n in AXES if n not in columns and n not in ("next_obs", "truncated")]
     if "next_obs" not in columns and "truncated" not in columns:
         missing.append("next_obs or truncated")

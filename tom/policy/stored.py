@@ -140,11 +140,11 @@ def _layers(arrays: Arrays, prefix: str = "") -> dict[str, NDArray]:
 
 def _network(layers: Arrays) -> tuple[StackedMLP, list[int]]:
     """The networks of `weight_k` (M, in, out) and `bias_k` (M, out), and their sizes."""
-    numbers = range(sum(name.startswith("weight_") for name in layers))
-    weights, biases = (
-        [torch.from_numpy(layers[f"{part}_{k}"].astype(np.float32)) for k in numbers]
-        for part in ("weight", "bias")
-    )
+    count = sum(name.startswith("weight_") for name in layers)
+    if not count:
+        raise ValueError("the file holds no layers")
+    weights = [_parameter(layers[f"weight_{k}"], 3) for k in range(count)]
+    biases = [_parameter(layers[f"bias_{k}"], 2) for k in range(count)]
     members, sizes = len(weights[0]), [weights[0].shape[1], *(bias.shape[1] for bias in biases)]
     if [tuple(w.shape) for w in weights] != [(members, *pair) for pair in pairwise(sizes)]:
         raise ValueError("its layers do not fit together")
@@ -152,3 +152,10 @@ def _network(layers: Arrays) -> tuple[StackedMLP, list[int]]:
     for own, stored in zip(net.tensors(), (*weights, *biases), strict=True):
         own.copy_(stored.view_as(own))
     return net, sizes
+
+
+def _parameter(array: NDArray, axes: int) -> Tensor:
+    floats = array.dtype in (np.float32, np.float16)
+    if not floats or array.ndim != axes or not np.isfinite(array).all():
+        raise ValueError(f"a layer is not finite float32 or float16 numbers on {axes - 1} axes")
+    return torch.from_numpy(array.astype(np.float32))

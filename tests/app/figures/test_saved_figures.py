@@ -82,6 +82,8 @@ def test_one_longer_run_leaves_the_others_the_width() -> None:
         assert figure.to_dict()["layout"]["xaxis"]["range"] == [0, STEPS[-1]]
         assert max(one["y"] for one in labels(figure)) < 200  # where the lines leave the figure
     assert opens_until([alone]) == opens_until([aggregate([several.curves[0], long])]) == steps[-1]
+    live = replace(long, growing=True)
+    assert opens_until([aggregate([*several.curves, live])]) == steps[-1]
 
 
 def test_a_line_is_named_at_its_end_with_its_runs_in_its_colour() -> None:

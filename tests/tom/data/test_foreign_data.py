@@ -156,6 +156,7 @@ def test_what_is_wrong_is_one_line(tmp_path: Path, columns, name, change, words)
 def test_columns_that_do_not_make_episodes_are_one_line(tmp_path: Path, columns: Columns):
     without = {n: values for n, values in columns.items() if n not in ("next_obs", "truncated")}
     refused(npz(tmp_path / "neither.npz", without), "next_obs or truncated")
+    refused(npz(tmp_path / "twice.npz", columns | {"observations": columns["obs"]}), "twice")
     refused(
         npz(tmp_path / "empty.npz", {n: values[:0] for n, values in columns.items()}), "no rows"
     )
