@@ -2,7 +2,7 @@
 
 `model/error_policy` against `model/error_other` says whether a learner focuses the model on the
 data that the current policy meets. Both are in-sample: the model was just fitted to these rows.
-`tom reproduce focus` measures errors on transitions that the model was not fitted to.
+`tom reproduce capacity` measures errors on transitions that the model was not fitted to.
 """
 
 import numpy as np

@@ -9,7 +9,6 @@ from types import ModuleType
 STUDIES = (
     "road",
     "progression",
-    "focus",
     "footprint",
     "capacity",
     "improvement",

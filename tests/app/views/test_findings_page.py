@@ -33,7 +33,7 @@ ROWS = [{"learner": "tom", "error": 0.25}, {"learner": "mle", "error": 0.5}]
 def reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The studio was started in a folder with two studies."""
     monkeypatch.chdir(tmp_path)
-    for name in ("road", "focus"):
+    for name in ("road", "progression"):
         folder = tmp_path / "reports" / name
         folder.mkdir(parents=True)
         Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(folder / "errors.png")
@@ -47,34 +47,34 @@ def reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_studies_are_listed_with_their_files(reports: Path) -> None:
     (reports / "empty").mkdir()
-    (reports / "focus" / "outside.png").symlink_to(reports / "road" / "errors.png")
-    road, focus = studies.listing(studies.FOLDER)
-    assert (road.name, focus.name) == ("road", "focus")
-    assert [path.name for path in focus.tables] == ["summary.csv", "few.csv", "errors.csv"]
-    assert [path.name for path in focus.figures] == ["errors.png"]
-    assert focus.report is None
+    (reports / "progression" / "outside.png").symlink_to(reports / "road" / "errors.png")
+    road, other = studies.listing(studies.FOLDER)
+    assert (road.name, other.name) == ("road", "progression")
+    assert [path.name for path in other.tables] == ["summary.csv", "few.csv", "errors.csv"]
+    assert [path.name for path in other.figures] == ["errors.png"]
+    assert other.report is None
     assert studies.report("road", studies.FOLDER) == Path("reports/road/report.html")
-    assert studies.report("focus", studies.FOLDER) is None
+    assert studies.report("progression", studies.FOLDER) is None
     assert studies.report("../reports/road", studies.FOLDER) is None
 
 
 def test_a_study_in_a_folder_of_another_name_has_its_commands_question(reports: Path) -> None:
     (study,) = (s for s in studies.listing(studies.FOLDER) if s.name == "road")
-    other = replace(study, name="mine", origin={"command": "tom reproduce focus --out mine"})
-    assert other.question == load("focus").QUESTION
+    other = replace(study, name="mine", origin={"command": "tom reproduce progression --out mine"})
+    assert other.question == load("progression").QUESTION
     assert replace(other, origin={"command": "make"}).question == ""
     assert replace(other, name="road").question == load("road").QUESTION
 
 
 def test_the_page_shows_a_studys_figures_and_numbers(reports: Path, store: Path) -> None:
-    app = draw("findings", study="focus")
+    app = draw("findings", study="progression")
     summary, _, errors = (frame.value for frame in app.dataframe)
     pd.testing.assert_frame_equal(summary, pd.DataFrame(ROWS))
     assert len(errors) == 600
     assert "600 lines" in app.expander[0].label  # single values are folded away
     assert [frame.value.equals(errors) for frame in app.expander[0].dataframe] == [True]
     [image] = app.image
-    assert image.proto.imgs[0].alt == f"errors: {load('focus').QUESTION}"
+    assert image.proto.imgs[0].alt == f"errors: {load('progression').QUESTION}"
     offered = [code.value.split() for code in app.code]
     assert {words[2] for words in offered} < {*STUDIES}
     assert all(words[3:] in ([], ["--store", str(store)]) for words in offered)
@@ -82,13 +82,13 @@ def test_the_page_shows_a_studys_figures_and_numbers(reports: Path, store: Path)
 
 def test_a_card_says_its_question_and_finding_and_opens_the_study(reports: Path) -> None:
     app = draw("findings")
-    asked = {load(name).QUESTION for name in ("road", "focus")}
+    asked = {load(name).QUESTION for name in ("road", "progression")}
     assert {card.value for card in app.header} == asked
     assert "**found**" in [words.value for words in app.markdown]
     assert len(app.image) == 2
-    app.button(key="open focus").click().run()
-    assert app.query_params["study"] == "focus"
-    assert app.header[0].value == load("focus").QUESTION
+    app.button(key="open progression").click().run()
+    assert app.query_params["study"] == "progression"
+    assert app.header[0].value == load("progression").QUESTION
 
 
 def test_all_ways_are_drawn_once_both_studies_are_there(
@@ -150,7 +150,7 @@ def test_studies_that_came_with_the_store_are_shown_and_ones_own_before_them(
         write_report(shipped / name, name, "shipped", ["found"])
     show(shipped.parent)
     found = {study.name: study for study in studies.listing(*studies.folders(shipped.parent))}
-    assert list(found) == ["road", "focus", "tabular"]
+    assert list(found) == ["road", "progression", "tabular"]
     assert found["road"].claim == "a claim"
     assert found["tabular"].claim == "shipped"
     assert "shipped" in "\n".join(e.value for e in draw("findings", study="tabular").markdown)
@@ -177,10 +177,10 @@ def test_a_study_is_run_from_the_page_and_one_that_fails_says_why(
 
 
 def test_numbers_that_are_none_and_damaged_files_leave_the_rest(reports: Path) -> None:
-    write_csv(reports / "focus" / "summary.csv", [{"steps": np.inf}, {"steps": 5.0}])
-    (reports / "focus" / "few.csv").write_bytes(b'"\xff')
-    (reports / "focus" / "torn.png").write_bytes(b"\x89PNG\r\n\x1a\n and no more")
-    app = draw("findings", study="focus")
+    write_csv(reports / "progression" / "summary.csv", [{"steps": np.inf}, {"steps": 5.0}])
+    (reports / "progression" / "few.csv").write_bytes(b'"\xff')
+    (reports / "progression" / "torn.png").write_bytes(b"\x89PNG\r\n\x1a\n and no more")
+    app = draw("findings", study="progression")
     shown = app.dataframe[0].value["steps"]
     assert (np.isnan(shown[0]), shown[1]) == (True, 5)
     said = "".join(warning.value.replace("\\", "") for warning in app.warning)
@@ -203,4 +203,4 @@ def test_a_report_runs_no_script() -> None:
     assert isinstance(found, FileResponse)
     assert "a claim" in Path(found.path).read_text()
     assert found.headers["content-security-policy"].startswith("sandbox;")
-    assert ask("focus").status_code == 404
+    assert ask("progression").status_code == 404

@@ -127,25 +127,6 @@ def test_an_acceptance_is_judged_by_the_numbers_that_are_met(
 
 
 @pytest.mark.parametrize(
-    ("recordings", "shares", "word"),
-    [(7, (0.5, 0.5), "Yes"), (7, (2.0, 0.5), "In part"), (4, (0.5, 0.5), "No difference seen")],
-)
-def test_a_models_error_is_judged_by_a_sign_test_over_recordings(
-    recordings: int, shares: tuple[float, float], word: str
-):
-    rows = [
-        (f"hopper-s{i}", rival, share, 3)
-        for i in range(recordings)
-        for rival, share in zip(("mle", "tom paper", "tom mended"), (1.0, *shares), strict=True)
-    ]
-    columns = ["recording", "rival", "policy / mle", "random / mle"]
-    found = of("focus", summary=pd.DataFrame(rows, columns=columns))
-    assert found.word == word  # 2 / 2 ** 7 for each of two presets, 2 / 2 ** 4
-    assert sorted({point.value for point in found.points}) == sorted({*shares})
-    assert f"{2 / 2**recordings:.2g}" in found.against
-
-
-@pytest.mark.parametrize(
     ("shares", "word"), [((0.9, 0.8, 0.2), "No"), ((0.1, 0.2, 0.9), "Yes"), ((0.1, 0.9), "In part")]
 )
 def test_profiles_are_judged_by_where_most_of_them_lie(shares: tuple[float, ...], word: str):
