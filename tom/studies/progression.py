@@ -22,21 +22,23 @@ from numpy.typing import NDArray
 from tom.analysis.ordered_data import load_run
 from tom.analysis.progression import DECILES, LATE, progression, same_profile
 from tom.analysis.weighing import Weighed, weigh
-from tom.config import RunConfig, TomConfig
+from tom.config import RunConfig, SacRecordingConfig, TomConfig
 from tom.envs import task
-from tom.errors import check_known
+from tom.errors import UserError, check_known
 from tom.policy.stored import NAME, UniformPolicy, read_policy
-from tom.record import RunReader
+from tom.readable import in_words, whole
+from tom.record import RunReader, Store
 from tom.reports.figures import Panel, profile_figure
 from tom.reports.report import in_short
 from tom.reports.weighing_files import profile_rows, profiles, write_weights
 from tom.studies.study import (
     Findings,
     Row,
-    add_recordings,
+    add_jobs,
+    add_runs,
     check,
     compute,
-    recordings,
+    tasks,
 )
 from tom.studies.verdicts import by_acceptance
 
@@ -82,11 +84,17 @@ TITLES = {
     ("shuffled", "pmac"): "PMAC, rows shuffled",
 }
 
+SAC_SEEDS = {"halfcheetah": (0,), "hopper": (0, 1)}
+"""the recordings of the acceptance; other tasks have one"""
+
 verdict = by_acceptance
 
 
 def add_options(parser: ArgumentParser) -> None:
-    add_recordings(parser)
+    add_runs(parser, SAC_SEEDS)
+    parser.add_argument("--steps", type=whole(1000), default=50_000, help="steps of SAC [50000]")
+    parser.add_argument("--seeds", nargs="+", type="seed", default=[0, 1, 2], help="TOM's [0 1 2]")
+    add_jobs(parser)
     parser.add_argument(
         "--sac-seeds", nargs="+", type="seed", help="seeds of recordings [as accepted]"
     )
@@ -97,7 +105,7 @@ def add_options(parser: ArgumentParser) -> None:
 
 def find(args: Namespace) -> Findings:
     check_known("preset", args.preset, PRESETS)
-    runs = recordings(args, args.sac_seeds)
+    runs = recordings(args)
     asked = [
         Case(run.path, condition, preset, tuple(args.seeds), run.created)
         for run in runs
@@ -125,6 +133,34 @@ def find(args: Namespace) -> Findings:
             "seeds": in_short(args.seeds),
         },
     )
+
+
+def recordings(args: Namespace) -> list[RunReader]:
+    """The recordings that are asked for. Raises UserError if one is missing."""
+    store, found, lacking = Store(args.store), list[RunReader](), []
+    for env in tasks(args.env):
+        for seed in args.sac_seeds or SAC_SEEDS.get(env, (0,)):
+            run = find_recording(store, SacRecordingConfig(env=env, seed=seed, steps=args.steps))
+            if run is None:
+                lacking.append(f"tom record-sac --env {env} --steps {args.steps} --seed {seed}")
+            else:
+                found.append(run)
+    if lacking:
+        raise UserError(f"{store.path}/ lacks recordings: {'; '.join(lacking)}")
+    return found
+
+
+def find_recording(store: Store, config: SacRecordingConfig) -> RunReader | None:
+    """The newest finished recording with these settings, as far as it has them, or None."""
+    counted = {"env", "seed", "steps", "exploration_steps", "updates_per_step", "sac"}
+    ours = in_words(config.model_dump(mode="json", include=counted)).items()
+    finished = (
+        run
+        for run in store.runs()
+        if run.learner == config.learner and run.status.state == "finished"
+    )
+    same = (run for run in finished if all(run.settings.get(path, w) == w for path, w in ours))
+    return next(same, None)
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,6 @@ import torch
 from numpy.dtypes import Float32DType, Float64DType, Int64DType
 
 from tom import plugins
-from tom.config import SacRecordingConfig
 from tom.data.unpack import DAMAGE
 from tom.envs import import_task, imported_tasks, task
 from tom.envs.termination import import_rule, imported_rules
@@ -41,8 +40,7 @@ from tom.errors import UserError, check_known
 from tom.learners import LEARNERS
 from tom.machine.matmul import choose_matmul
 from tom.machine.processes import end_with_parent
-from tom.readable import in_words, whole
-from tom.record import RunReader, Store
+from tom.readable import whole
 from tom.record.files import replace
 from tom.record.versions import versions
 from tom.training.presets import PRESETS
@@ -127,48 +125,6 @@ def make_folder(path: Path) -> None:
 def say(line: str) -> None:
     """Print a line of progress to stderr, so that stdout stays readable for a script."""
     print(line, file=sys.stderr, flush=True)
-
-
-# Recordings of SAC that studies take.
-
-SAC_SEEDS = {"halfcheetah": (0,), "hopper": (0, 1)}
-"""the recordings of the acceptance; other tasks have one"""
-
-
-def add_recordings(parser: ArgumentParser) -> None:
-    """Add the options that choose recordings of SAC and the learners' seeds."""
-    add_runs(parser, SAC_SEEDS)
-    parser.add_argument("--steps", type=whole(1000), default=50_000, help="steps of SAC [50000]")
-    parser.add_argument("--seeds", nargs="+", type="seed", default=[0, 1, 2], help="TOM's [0 1 2]")
-    add_jobs(parser)
-
-
-def recordings(args: Namespace, seeds: list[int] | None = None) -> list[RunReader]:
-    """The recordings of every task and of SAC's `seeds`. Raises UserError if one is missing."""
-    store, found, lacking = Store(args.store), list[RunReader](), []
-    for env in tasks(args.env):
-        for seed in seeds or SAC_SEEDS.get(env, (0,)):
-            run = find_recording(store, SacRecordingConfig(env=env, seed=seed, steps=args.steps))
-            if run is None:
-                lacking.append(f"tom record-sac --env {env} --steps {args.steps} --seed {seed}")
-            else:
-                found.append(run)
-    if lacking:
-        raise UserError(f"{store.path}/ lacks recordings: {'; '.join(lacking)}")
-    return found
-
-
-def find_recording(store: Store, config: SacRecordingConfig) -> RunReader | None:
-    """The newest finished recording with these settings, as far as it has them, or None."""
-    counted = {"env", "seed", "steps", "exploration_steps", "updates_per_step", "sac"}
-    ours = in_words(config.model_dump(mode="json", include=counted)).items()
-    finished = (
-        run
-        for run in store.runs()
-        if run.learner == config.learner and run.status.state == "finished"
-    )
-    same = (run for run in finished if all(run.settings.get(path, w) == w for path, w in ours))
-    return next(same, None)
 
 
 # The cases of a study.

@@ -14,7 +14,7 @@ from tom.events import Evaluation, TrainedPolicy
 from tom.policy.stored import UniformPolicy, policy_arrays, read_policy
 from tom.record import RunReader, Store
 from tom.record.thin import half
-from tom.studies.study import find_recording
+from tom.studies.progression import find_recording
 from tom.training.resume import find_unfinished, resume
 from tom.training.run import train
 from tom.training.sac_recording import SacRecording
