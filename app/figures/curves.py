@@ -212,7 +212,7 @@ def group_curves(
     until = opens_until(groups) if axes.x == ENV_STEPS and not axes.log_x else max(ends)
     if until < max(ends):
         x_axis["range"] = [min(starts), until]
-        words.append(f"opens to step {until:,.0f} of {max(ends):,.0f}: double-click for all")
+        words.append(f"double-click: all {max(ends):,.0f} steps")
     if len({float(x) for trace in lines for x in trace.x[:2]}) == 1 and not axes.log_x:
         # With a single point Plotly would show a tiny range around it: start the axis at zero.
         x_axis |= {"rangemode": "tozero", "autorangeoptions": {"include": 0}}
