@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from tom.config import SAC_ALONE
 from tom.learners import LEARNERS
-from tom.learners import learner_label as learner_label  # with the colours, for every page
 
 Mode = Literal["light", "dark"]
 

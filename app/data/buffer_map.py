@@ -16,7 +16,6 @@ from app.data.columns import AGE, DISTANCE, ERROR, ERROR_ROWS, RANK, WEIGHT, Col
 from app.data.readers import profiles
 from app.data.selection import Mask, Selection, between, inside
 from app.data.weighings import Dataset, Weighing
-from app.theme import learner_label
 from tom.analysis import planes, why
 from tom.analysis.brush import UNCHANGED
 from tom.analysis.imagine import StoredModel
@@ -24,6 +23,7 @@ from tom.analysis.weight_readers import first_weight_reader
 from tom.dynamics.neural import NeuralDynamics
 from tom.envs import ROAD
 from tom.errors import UserError
+from tom.learners import learner_label
 from tom.machine.memory import STUDIO_CACHE_BYTES
 from tom.policy.stored import StoredPolicy
 from tom.policy.stored import distances as policy_distances

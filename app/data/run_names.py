@@ -3,8 +3,8 @@
 from collections import Counter
 from collections.abc import Sequence
 
-from app.theme import learner_label
 from tom.analysis.settings import distinguishing_presets, variants
+from tom.learners import learner_label
 from tom.readable import task_title
 from tom.record.reader import RunReader
 

@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from app.theme import learner_label
 from tom.analysis.curves import Group
 from tom.analysis.scores import BEST, FINAL, common_step, interval, scores_of, steps_to
 from tom.analysis.settings import differences
+from tom.learners import learner_label
 from tom.record.reader import RunReader
 
 REACH = 0.8

@@ -1,4 +1,7 @@
-"""The verdicts on the studies that are listed, by the rules of `tom.studies`."""
+"""The verdicts on the studies that are listed, by the rules of `tom.studies`.
+
+Apart from `app.data.studies`, which the page server imports: these rules load torch.
+"""
 
 from collections.abc import Sequence
 from contextlib import suppress

@@ -32,7 +32,6 @@ from app.theme import (
     SYMBOLS,
     Mode,
     learner_colour,
-    learner_label,
     learner_symbol,
     mix,
     ramp,
@@ -42,7 +41,7 @@ from tom.analysis.curves import GRID, Curve, Group, smoothed
 from tom.analysis.grouping import CUT_SHORT, titles_of
 from tom.analysis.settings import USUAL, Kind, natural_sort_key, number
 from tom.envs import ROAD
-from tom.learners import SUBJECT
+from tom.learners import SUBJECT, learner_label
 
 POINTS = 1500
 """maximum number of points of a line; the figure says if points were left out"""
@@ -208,11 +207,10 @@ def group_curves(
     x_axis: dict[str, Any] = {"type": "log" if axes.log_x else "linear"}
     lines: list[Any] = list(figure.data)
     words = [f"smoothed: mean of {window} points of the line"] if window > 1 else []
-    starts, ends = zip(*((x[0], x[-1]) for x, _ in drawn), strict=True)
-    until = opens_until(groups) if axes.x == ENV_STEPS and not axes.log_x else max(ends)
-    if until < max(ends):
-        x_axis["range"] = [min(starts), until]
-        words.append(f"double-click: all {max(ends):,.0f} steps")
+    last = max(x[-1] for x, _ in drawn)
+    if axes.x == ENV_STEPS and not axes.log_x and (until := opens_until(groups)) < last:
+        x_axis["range"] = [min(x[0] for x, _ in drawn), until]
+        words.append(f"double-click: all {last:,.0f} steps")
     if len({float(x) for trace in lines for x in trace.x[:2]}) == 1 and not axes.log_x:
         # With a single point Plotly would show a tiny range around it: start the axis at zero.
         x_axis |= {"rangemode": "tozero", "autorangeoptions": {"include": 0}}

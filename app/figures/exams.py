@@ -10,8 +10,9 @@ from app import text
 from app.data.buffer import Floats
 from app.figures.base import dashes, line, note, panels, styled, vertical_line
 from app.figures.weights import AGES, AT_AGE, PLACE, bin_centres
-from app.theme import learner_colour, learner_label, learner_symbol, with_alpha
+from app.theme import learner_colour, learner_symbol, with_alpha
 from tom.analysis.exams import Exams
+from tom.learners import learner_label
 from tom.readable import score, short
 from tom.spread import spread
 

@@ -12,8 +12,9 @@ from app.data.buffer import WINDOW
 from app.data.replays import Replay
 from app.figures.base import line, note, panels, step_axis_title, styled
 from app.figures.curves import return_line
-from app.theme import NEUTRAL, learner_colour, learner_label
+from app.theme import NEUTRAL, learner_colour
 from tom.analysis.curves import Curve
+from tom.learners import learner_label
 
 MAX_DIMENSIONS = 12
 """maximum number of drawn dimensions; the figure says if some were left out"""

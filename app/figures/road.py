@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from app import text
 from app.data.road import CENTRES, Picture, circle, outline
 from app.figures.base import OCTAVES, line, octaves, relative_scale, styled
-from app.theme import NEUTRAL, TEXT, Mode, learner_colour, learner_label
+from app.theme import NEUTRAL, TEXT, Mode, learner_colour
+from tom.learners import learner_label
 
 NO_DATA: dict[Mode, str] = {"light": "#c4c9d3", "dark": "#414858"}
 """the colour of cells without transitions, which is not on the scale"""

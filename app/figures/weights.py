@@ -22,8 +22,9 @@ from app.figures.base import (
     vertical_line,
 )
 from app.figures.curves import return_line
-from app.theme import Mode, learner_colour, learner_label
+from app.theme import Mode, learner_colour
 from tom.analysis.curves import Curve
+from tom.learners import learner_label
 from tom.record.decode import Profiles
 from tom.spread import spread
 

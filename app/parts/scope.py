@@ -14,10 +14,10 @@ from app.data import readers
 from app.data.run_names import distinct_names, full_names, task_title
 from app.figures.curves import Style, styles_of
 from app.parts import address, widgets
-from app.theme import learner_label
 from tom.analysis.curves import curve_points
 from tom.analysis.grouping import RunGroups, grouped, usual_task
 from tom.analysis.settings import USUAL, Kind, choices
+from tom.learners import learner_label
 from tom.readable import score
 from tom.record.files import modified
 from tom.record.reader import RunReader

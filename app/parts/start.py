@@ -14,12 +14,12 @@ from streamlit.delta_generator import DeltaGenerator
 from app import session, text
 from app.data import readers, trainings
 from app.parts import address, form, jobs, scope, widgets
-from app.theme import learner_colour, learner_label
+from app.theme import learner_colour
 from tom import readable
 from tom.analysis.settings import changed, distinguishing_presets
 from tom.envs import ENV_NAMES, OTHERS
 from tom.errors import UserError
-from tom.learners import SUBJECT
+from tom.learners import SUBJECT, learner_label
 from tom.record import checkpoint
 from tom.record.reader import SMALL_COPY, RunReader
 from tom.record.store import Store

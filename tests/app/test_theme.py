@@ -21,7 +21,6 @@ from app.theme import (
     Mode,
     contrast,
     learner_colour,
-    learner_label,
     learner_symbol,
     linear_light,
     ramp,
@@ -29,7 +28,7 @@ from app.theme import (
     scale_colours,
 )
 from tom.analysis.settings import Kind
-from tom.learners import LEARNERS
+from tom.learners import LEARNERS, learner_label
 
 # Machado, Oliveira and Fernandes (2009), severity 1.
 VISION = {

@@ -34,7 +34,8 @@ app = AppTest.from_string("from app.router import views\\nviews()[-1].page()", d
 app.run()
 assert not app.exception, app.exception[0].message
 assert {"example", "other"} <= set(app.dataframe[0].value["run"])
-from app.theme import learner_colour, learner_label
+from app.theme import learner_colour
+from tom.learners import learner_label
 assert (learner_colour("surprise"), learner_label("surprise")) == ("#5f8a1f", "Surprise")
 from tom.plugins import CHARTS
 from app.data import readers

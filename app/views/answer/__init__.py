@@ -16,7 +16,6 @@ from app.figures.road import road_map
 from app.parts import address, start, widgets
 from app.parts.plot import FigureJson, chart
 from app.parts.scope import Scope
-from app.theme import learner_label
 from app.views.answer import numbers
 from tom.analysis import answer, curves
 from tom.analysis.answer import QUESTIONS, Contrast, Side, newest_share
@@ -24,6 +23,7 @@ from tom.analysis.curves import Curve, Group
 from tom.analysis.grouping import has_uniform_learner, usual_other
 from tom.analysis.weight_readers import first_weight_reader
 from tom.envs import ROAD
+from tom.learners import learner_label
 from tom.record.reader import RunReader
 
 HEIGHT, MAP_HEIGHT = 230, 280

@@ -18,7 +18,7 @@ from app.parts.map import SELECTOR
 from app.parts.plot import FigureJson, Follow, Point, chart
 from app.parts.scope import Scope
 from app.scenes.control import RoadChoice
-from app.theme import Mode, learner_label
+from app.theme import Mode
 from app.views.attention import in_buffer, learners
 from tom.analysis.answer import newest_share
 from tom.analysis.curves import curve_points
@@ -26,7 +26,7 @@ from tom.analysis.exams import at_fit
 from tom.analysis.weight_readers import weight_readers
 from tom.envs import ROAD
 from tom.exams import informative
-from tom.learners import LEARNERS
+from tom.learners import LEARNERS, learner_label
 from tom.learners.base import DEGENERATE
 from tom.metrics import describe
 from tom.readable import Settings, percent, short

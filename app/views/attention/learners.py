@@ -15,12 +15,11 @@ from app.figures.weights import median_profiles
 from app.parts import address, form, jobs, widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
-from app.theme import learner_label
 from app.views.attention import in_buffer
 from tom.analysis.weighing import POLICIES, PRESETS, RANDOM
 from tom.data.datasets import FORMATS
 from tom.envs import ANY, ENVS, ROAD, is_code
-from tom.learners import LEARNERS, WEIGHED_FIRST, follows_behaviour
+from tom.learners import LEARNERS, WEIGHED_FIRST, follows_behaviour, learner_label
 from tom.readable import percent
 from tom.record.reader import RunReader
 

@@ -21,10 +21,9 @@ from app.figures.why import NAMES, brushed_errors, factor_text, rollout_lines, w
 from app.parts import address, jobs, widgets
 from app.parts.plot import chart
 from app.scenes.film import ghost_film
-from app.theme import learner_label
 from tom.analysis.brush import FACTORS
 from tom.envs import ROAD, is_code
-from tom.learners import SUBJECT
+from tom.learners import SUBJECT, learner_label
 from tom.readable import number, percent, score, short
 from tom.record.reader import RunReader
 from tom.record.task_record import scene_of

@@ -11,9 +11,9 @@ from app.data import readers, tables
 from app.data.run_names import distinct_names
 from app.parts import address
 from app.parts.scope import Scope, toggle
-from app.theme import learner_label
 from tom.analysis.settings import NONE, differences
 from tom.errors import UserError
+from tom.learners import learner_label
 from tom.record import manage
 from tom.record.manage import NAME_LENGTH, NOTE_LENGTH
 from tom.record.reader import RunReader

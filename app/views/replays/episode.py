@@ -15,10 +15,10 @@ from app.parts import address, timeline, widgets
 from app.parts.plot import Point, chart
 from app.parts.scope import Scope
 from app.scenes.control import REAL_TIME, SPEEDS, Clock, Command, ReplayChoice, clock
-from app.theme import learner_label
 from tom import readable
 from tom.envs import ROAD
 from tom.errors import UserError
+from tom.learners import learner_label
 from tom.record.reader import RunReader, at_or_before
 
 VISER, RERUN = "3D scene", "Rerun"

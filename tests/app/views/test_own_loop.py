@@ -9,7 +9,7 @@ from streamlit.testing.v1 import AppTest
 from studio_pages import Show, array, draw, figures
 
 from app.parts import widgets
-from app.theme import learner_label
+from tom.learners import learner_label
 from tom.own_loop.live import weigh_live
 from tom.own_loop.run import record
 from tom.record.reader import RunReader
