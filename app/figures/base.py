@@ -147,7 +147,7 @@ def note(figure: go.Figure, remarks: Sequence[str], right: float = 1) -> go.Figu
     They end at `right`, a share of the figure's width.
     """
     if remarks:
-        place = {"x": right, "y": 0, "xref": "paper", "yref": "paper"}
+        place = {"name": "note", "x": right, "y": 0, "xref": "paper", "yref": "paper"}
         corner = {"xanchor": "right", "yanchor": "bottom", "showarrow": False, "opacity": 0.75}
         figure.add_annotation(text="<br>".join(remarks), **place, **corner, font={"size": 11})
     return figure

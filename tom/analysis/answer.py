@@ -33,6 +33,8 @@ STANDS_OUT = 0.1
 """the least share of the log weights that a plane explains if a part of the buffer stands out"""
 QUESTIONS = ("Where does it look?", "Is that where the policy goes?", "Does it help?")
 ROAD_METRICS = ("weights/road_share", "weights/road_ratio")
+MIDDLE = "iqm"
+"""the statistic over runs in every sentence: one run far from the others hardly moves it"""
 NEWEST = 0.2
 """the share of the weight on the newest fifth if every transition counts the same"""
 
@@ -167,8 +169,8 @@ def where(side: Side) -> Answer:
             "unknown", "Cannot be told yet", f"{side.name} has not fitted a model yet.",
             "Weights come with the first fit.",
         )  # fmt: skip
-    newest = scores.interval(np.array([newest_share(one)[-1] for one in last]))
-    ess = scores.interval(np.array([one.ess[-1] for one in last], np.float64))
+    newest = scores.interval(np.array([newest_share(one)[-1] for one in last]), MIDDLE)
+    ess = scores.interval(np.array([one.ess[-1] for one in last], np.float64), MIDDLE)
     sentence = (
         f"{side.name} puts **{percent(newest.value, 0)}** of its weight on the newest fifth of its "
         f"buffer{_interval_text(newest)}; equal weights would put 20 %. The effective sample is "
@@ -190,7 +192,7 @@ def _on_road(side: Side) -> Answer:
     found = np.concatenate([np.empty((0, 2)), *last_rows])  # (runs, 2)
     if not len(found):
         return Answer("unknown", "Cannot be told yet", f"{side.name} has not fitted a model yet.")
-    share = scores.interval(found[:, 0])
+    share = scores.interval(found[:, 0], MIDDLE)
     ratio = np.nan_to_num(found[:, 1], nan=np.inf)  # NaN: no weight on the rocks
     times = float(np.median(ratio))
     counts = (
@@ -250,7 +252,7 @@ def on_policy(side: Side) -> Answer:
             "A footprint compares the buffer with the steps that the policy takes after a fit. "
             "They must differ from the buffer by more than from each other: train on.",
         )  # fmt: skip
-    footprint = scores.interval(measured, "iqm")
+    footprint = scores.interval(measured, MIDDLE)
     left = percent(footprint.value, 0)
     sentence = (
         f"Weighted by {side.name}, the buffer keeps **{left}** of its distance to what the "
@@ -302,24 +304,25 @@ def helps(one: Side, other: Side | None) -> Answer:
         [scores.scores_of(curves, name, until, since) for curves in comparable]
         for name in (scores.FINAL, scores.BEST, scores.HEIGHT)
     )
-    means = [score(float(values.mean())) for values in final]
+    middle = [score(scores.interval(values, MIDDLE).value) for values in final]
     counts = f"{len(final[0])} and {len(final[1])} runs"
     at = f"at step {until:,.0f}"
     fewest = min(len({c.seed for c in curves}) for curves in comparable)
     if fewest < RANKED:
         return Answer(
             "unknown", f"Cannot be told yet: {fewest} of {RANKED} seeds",
-            f"On average {at}, {one.name} returns {means[0]} and {other.name} {means[1]} "
-            f"({counts}). {error}",
+            f"{at.capitalize()}, {one.name} returns {middle[0]} and {other.name} {middle[1]} "
+            f"(interquartile means of {counts}). {error}",
             f"{RANKED} seeds of each are needed.",
         )  # fmt: skip
     beats = statistics.probability_of_improvement(final[:1], final[1:])
     ps = [statistics.exchangeable(of[:1], of[1:]) for of in (final, *others)]
     p, of_all = ps[0], statistics.corrected(ps)[0]
-    chance = f"{10 * beats.value:.0f} times in 10 (p {p:.2g}, {counts})"
+    chance = f"{10 * beats.value:.0f} times in 10 (p {p:.2g})"
     sentence = (
-        f"{at.capitalize()}, {one.name} returns **{means[0]}** on average and {other.name} "
-        f"**{means[1]}**; a random run of {one.name} beats one of {other.name} {chance}. {error}"
+        f"{at.capitalize()}, {one.name} returns **{middle[0]}** and {other.name} **{middle[1]}** "
+        f"(interquartile means of {counts}); a random run of {one.name} beats one of {other.name} "
+        f"{chance}. {error}"
     ).rstrip()
     if p >= SIGNIFICANT:
         return Answer("unclear", "Not clearly", sentence)

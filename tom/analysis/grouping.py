@@ -93,12 +93,18 @@ class RunGroups:
 def grouped(runs: Sequence[RunReader], by: str = USUAL) -> RunGroups:
     """The runs, newest first, in groups as usual or by a setting.
 
-    Hidden are the groups beyond the main ones, and examples beside runs of one's own.
+    Hidden are the groups beyond the main ones, and examples beside runs of one's own: these form
+    groups of their own.
     """
     kinds = kinds_of(runs, by)
+    own = {kinds[run.run_id] for run in runs if not run.small_copy}
+    for run in runs:
+        kind = kinds[run.run_id]
+        if run.small_copy and kind in own:
+            variant = ", ".join(filter(None, (kind.variant, "example")))
+            kinds[run.run_id] = kind._replace(variant=variant)
     titles = titles_of(kinds.values())
     rank = {kinds[run.run_id]: _rank(run, kinds[run.run_id]) for run in runs}
-    own = {kinds[run.run_id] for run in runs if not run.small_copy}
     order = sorted(titles, key=lambda kind: rank[kind])
     main = [kind for kind in order if kind in own or not own][:SHOWN_GROUPS]
     folded = frozenset(titles[kind] for kind in order if kind not in main)

@@ -133,7 +133,7 @@ def _charts(
                 left = 100 * informative.footprint
                 measured[1].append(replace(returns, step=informative.step, value=left))
     return [
-        _chart(scope, what, level, curves.groups(lines))
+        _chart(scope, what, level, curves.groups(lines, answer.MIDDLE))
         for (_, what, level), lines in zip(CARDS, measured, strict=True)
     ]
 
@@ -149,7 +149,8 @@ def _chart(scope: Scope, what: str, level: float | None, groups: Sequence[Group]
     named = ", ".join(f"{scope.styles[group.kind].title} (n = {group.n})" for group in groups)
     caption = (
         f"{what.capitalize()}, against {step_axis_title(group.env for group in groups)}. Line: "
-        f"mean over seeds, band: 95 % bootstrap interval, thin lines: single runs. {named}."
+        "interquartile mean over runs, band: 95 % bootstrap interval, thin lines: single runs. "
+        f"{named}."
     )
     return FigureJson.of(figure), caption
 

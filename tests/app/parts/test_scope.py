@@ -95,6 +95,18 @@ def test_examples_are_folded_beside_runs_of_ones_own(
     assert state == {"hide": [], "show": []}
 
 
+def test_an_example_never_counts_in_a_group_of_ones_own_runs(
+    store: Path, state: dict[str, list[str]]
+) -> None:
+    own = info(store, PENDULUM_TOM)
+    alike = altered(own, run_id="an example of the same settings", small_copy=True)
+    found = scope._scope([own, alike], USUAL)
+    assert shown(found) == [PENDULUM_TOM]
+    scope.toggle(found, found.title(alike))
+    groups = scope._scope([own, alike], USUAL).comparable()
+    assert sorted(map(len, groups.values())) == [1, 1]
+
+
 @pytest.mark.usefixtures("state")
 def test_a_run_that_ended_well_before_the_others_does_not_count_unless_it_goes_on(
     store: Path,

@@ -48,6 +48,14 @@ def test_a_run_that_has_just_begun_changes_no_comparison():
     assert more == answer.helps(ours, theirs)
 
 
+def test_one_run_far_from_the_others_does_not_turn_the_numbers_against_the_verdict():
+    ours, theirs = side([11.0, 12, 13, 14, 15, 16, 17, 18]), side([3.0, 4, 5, 6, 7, 8, 9, 90])
+    found = answer.helps(ours, theirs)
+    assert found.word == "yes"
+    assert "**14.5**" in found.sentence
+    assert "**6.5**" in found.sentence
+
+
 def test_what_three_scores_of_few_seeds_could_show_by_chance_is_no_yes():
     """Of 252 arrangements of five and five 8 are as far from a half as 23 wins of 25: p .032."""
     ours, theirs = [5.0, 7, 8, 9, 10], [1.0, 2, 3, 6, 6.5]
