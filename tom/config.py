@@ -166,7 +166,7 @@ class TomConfig(Config):
     q_bias_step: Annotated[float, Field(ge=0, le=1)] = 0.0
     """damped Newton step of Q's output bias, which carries the weights' mean (0: only Adam)"""
     q_non_negative: bool = False
-    """keep Q >= 0 as printed in the paper (costs a third of the weights' mass in the median)"""
+    """keep Q >= 0 as printed in the paper (costs a quarter of the weights' mass in the median)"""
     semi_gradient: bool = False
     """stop the gradient through Q(s', a') (breaks the dual: for comparison only)"""
     parameter_average: Annotated[float, Field(ge=0, lt=1)] = 0.0

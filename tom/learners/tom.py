@@ -113,7 +113,7 @@ def _networks(
 
 
 class TomLearner:
-    """Occupancy weights, with a Q that is trained further at every fit.
+    """Occupancy weights; Q is trained further at every fit, or anew if episodes are held out.
 
     Uniform, and not ready, until the policy has taken `config.warmup` steps in the environment.
     """

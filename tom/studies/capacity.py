@@ -31,13 +31,14 @@ from tom.studies.moments import (
     QUESTIONS,
     add_measure_options,
     answer_sentences,
-    certainty,
     comparisons,
     findings,
     models_of,
+    of_test,
     outcomes_of,
     ratios,
     way_point,
+    with_interval,
     word_of_rows,
 )
 from tom.studies.study import Findings, Row
@@ -142,21 +143,24 @@ def verdict(tables: Tables) -> Verdict:
     pairs = [row for row in tables["head-to-head"] if row["against"] == UNIFORM]
     table = [row for row in pairs if row["way"] in LABELS]
     of_tom = [row for row in table if row["way"] in (PRINTED, MENDED)]
-    ours, whose = (of_tom, "TOM's") if of_tom else (table, "These")
+    ours, whose = (of_tom, "TOM's") if of_tom else (table, "these")
     models = list(dict.fromkeys(row["model"] for row in ours))
     less = [m for m in models if all(row["high"] < 1 for row in ours if row["model"] == m)]
     cost = [
-        f"{row['ratio']:.2f} ({certainty(row, '{:.2f}'.format)}) with {LABELS[row['way']]}"
+        f"{with_interval(row, 'ratio')} with {LABELS[row['way']]} ({of_test(row)})"
         for row in table
         if row["model"] == models[-1] and not WAYS[row["way"]].half
     ]
     sentence = (
-        f"{whose} weights lower the model's error where the policy goes for "
+        f"By their intervals, {whose} weights lower the model's error where the policy goes for "
         f"{' and '.join(less) or 'no model'} (units x layers). The error of {models[-1]} over that "
         f"with uniform weights is {' and '.join(cost)}."
     )
     least = min(1.0, min(row["p"] for row in table) * len(table))
-    against = f"Corrected for all {len(table)} tests of the table, the smallest p is {least:.2g}."
+    against = (
+        "Intervals over so few recordings are too narrow: corrected for all "
+        f"{len(table)} tests of the table, the smallest p is {least:.2g}."
+    )
     points = [way_point(row, "ratio", row["model"], LABELS[row["way"]]) for row in table]
     axis = "model error (1: as with uniform weights)"
     question = ""

@@ -6,27 +6,24 @@ policy. Runs must be whole, or small copies made with --keep buffer policies.
 """
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
-from math import isfinite
+from collections.abc import Iterator, Sequence
 from operator import itemgetter
 from statistics import median
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from tom.readable import percent
 from tom.reports.figures import learner_colour, strips
 from tom.studies.frozen import LABELS, MENDED, PRINTED, UNIFORM, WAYS
 from tom.studies.moments import (
     add_measure_options,
     answer_sentences,
-    certainty,
     comparisons,
     findings,
     informative_outcomes,
+    of_test,
     outcomes_of,
     over_recordings,
-    sign_test,
     way_point,
     with_interval,
     word_of_rows,
@@ -97,10 +94,12 @@ def head_to_head(outcomes: Sequence[Row]) -> list[Row]:
     Only `informative_outcomes` count. Without questions about uniform weights, whose distance is 1:
     `summary` answers them.
     """
-    rows = comparisons(
-        informative_outcomes(outcomes), itemgetter("footprint"), "difference", "nearer at"
-    )
-    return [row for row in rows if row["against"] != UNIFORM]
+    return [row for row in _comparisons(outcomes) if row["against"] != UNIFORM]
+
+
+def _comparisons(outcomes: Sequence[Row]) -> Iterator[Row]:
+    told = informative_outcomes(outcomes)
+    return comparisons(told, itemgetter("footprint"), "difference", "nearer at")
 
 
 def in_sentences(outcomes: Sequence[Row]) -> list[str]:
@@ -137,18 +136,13 @@ def in_sentences(outcomes: Sequence[Row]) -> list[str]:
 def verdict(tables: Tables) -> Verdict:
     """By the distances of TOM as printed and mended; recency and policy distance speak against."""
     rows = {row["way"]: row for row in tables["summary"]}
-    ours = []
-    for row in (rows[way] for way in (PRINTED, MENDED) if way in rows):
-        signs = sign_test(
-            (one["env"], one["recording"], 1 - one["footprint"])
-            for one in informative_outcomes(tables["moments"])
-            if one["way"] == row["way"]
-        )
-        ours.append({**row, "p": signs.p, "better on": signs.above, "recordings": signs.n})
+    ours = [
+        test | rows[test["way"]]
+        for test in _comparisons(tables["moments"])
+        if test["against"] == UNIFORM and test["way"] in (PRINTED, MENDED)
+    ]
     distances = [
-        f"{LABELS[row['way']]} {percent(row['distance'], 0)} "
-        f"({certainty(row, lambda end: percent(end, 0))})"
-        for row in ours
+        f"{LABELS[row['way']]} {with_interval(row, 'distance')} ({of_test(row)})" for row in ours
     ]
     sentence = (
         "A weighted buffer keeps this share of its distance to what the policy does next: "
@@ -156,8 +150,8 @@ def verdict(tables: Tables) -> Verdict:
     )
     rivals = {"recency": "Recency", "policy-distance": "The policies' distance"}
     rival_sentences = [
-        f"{name}, which trains nothing, keeps {percent(rows[rival]['distance'], 0)}, which "
-        f"{_beside(pair, rival)} TOM mended ({certainty(pair, lambda end: percent(end, 0))})."
+        f"{name}, which trains nothing, keeps {rows[rival]['distance']:.2f}, which "
+        f"{_beside(pair, rival)} TOM mended ({of_test(pair)})."
         for pair in tables["head-to-head"]
         for rival, name in rivals.items()
         if {pair["way"], pair["against"]} == {MENDED, rival}
@@ -169,11 +163,8 @@ def verdict(tables: Tables) -> Verdict:
 
 
 def _beside(pair: Row, rival: str) -> str:
-    """How a way's distance lies beside the other's of a pair, by the interval of the difference."""
-    differs = pair["p"] < SIGNIFICANT
-    if isfinite(pair["low"]):
-        differs = pair["low"] > 0 or pair["high"] < 0
-    if not differs:
+    """How a way's distance lies beside the other's of a pair, by the test over recordings."""
+    if pair["p"] >= SIGNIFICANT:
         return "cannot be told from"
     further = (pair["difference"] > 0) == (pair["way"] == rival)
     return "is further away than" if further else "is nearer than"

@@ -70,9 +70,10 @@ from tom.studies.moments import (
     sign_test,
     trial_of,
     way_point,
+    word_of_rows,
 )
 from tom.studies.study import Findings, Row, compute
-from tom.studies.verdicts import Tables, Verdict, side, word_of
+from tom.studies.verdicts import Tables, Verdict
 
 TITLE = "What weighting does for the policy"
 QUESTION = "Does the policy return more with weights in the model or in the starts?"
@@ -318,7 +319,6 @@ def verdict(tables: Tables) -> Verdict:
         for row in tables["summary"]
         if row["what"].startswith(difference)
     ]
-    sides = [side(row["p"] * len(table), 2 * row["better in trials"] > row["n"]) for row in table]
     trials = [
         f"{row['better in trials']:.0f} of {row['n']:.0f} trials ({row['what']})"
         for row in sorted(table, key=lambda row: row["share"])
@@ -332,7 +332,8 @@ def verdict(tables: Tables) -> Verdict:
         "a large effect of weights could have been seen."
     )
     points = [way_point(row, "share", row["what"]) for row in table]
-    return Verdict(word_of(sides), sentence, against, "share of trials returning more", 0.5, points)
+    word, axis = word_of_rows(table), "share of trials returning more"
+    return Verdict(word, sentence, against, axis, 0.5, points)
 
 
 def improvement_figure(trials: Sequence[Row]) -> Figure:

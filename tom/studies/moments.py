@@ -325,21 +325,20 @@ def with_interval(row: Row, name: str) -> str:
 
 
 def word_of_rows(rows: Sequence[Row]) -> str:
-    """The word for rows of a quantity that is better below 1, by their intervals or tests."""
+    """The word for rows with a sign test each, which are judged by it.
 
-    def side_of(row: Row) -> int:
-        if isfinite(row["low"]):
-            return (row["high"] < 1) - (row["low"] > 1)
-        return side(row["p"] * len(rows), 2 * row["better on"] > row["recordings"])
+    Where all differ alike, every p has to be below .05; else p is corrected for their number.
+    """
 
-    return word_of([side_of(row) for row in rows])
+    def sides(tests: int) -> list[int]:
+        return [side(row["p"] * tests, 2 * row["better on"] > row["recordings"]) for row in rows]
+
+    alike = abs(sum(sides(1))) == len(rows)
+    return word_of(sides(1 if alike else len(rows)))
 
 
-def certainty(row: Row, number: Callable[[float], str]) -> str:
-    """How sure a row's number is: its interval, else its test."""
-    if isfinite(row["low"]):
-        of = "difference " if "difference" in row else ""
-        return f"{of}{number(row['low'])} to {number(row['high'])}"
+def of_test(row: Row) -> str:
+    """A row's sign test in words."""
     return f"p {row['p']:.2g}, {row['recordings']:.0f} recordings"
 
 

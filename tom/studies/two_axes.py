@@ -9,9 +9,17 @@ from math import exp, log
 from tom.analysis.statistics import COVERAGE, Interval
 from tom.readable import task_title
 from tom.studies.frozen import ERROR, LABELS, MODELS, UNIFORM, WAYS
-from tom.studies.moments import Value, informative_outcomes, over_recordings, ratios, trial_of
+from tom.studies.moments import (
+    Value,
+    informative_outcomes,
+    over_recordings,
+    ratios,
+    sign_test,
+    trial_of,
+    word_of_rows,
+)
 from tom.studies.study import Row
-from tom.studies.verdicts import Panel, Verdict, word_of
+from tom.studies.verdicts import Panel, Verdict
 
 QUESTION = "Does weighing nearer to the policy make the paper's model better there?"
 PAPER_MODEL = list(MODELS)[-1]
@@ -33,7 +41,28 @@ def verdict(near: Sequence[Row], errs: Sequence[Row]) -> Verdict:
     every = (_panel(env, distances, errors) for env in {row["env"]: 0 for row in errs})
     panels = [panel for panel in every if len(panel.ways) > 1]
     one_sided = {row["way"] for row in near} ^ {row["way"] for row in errs}
-    return Verdict(*_answer(panels), panels=panels, caption=_caption(panels, one_sided))
+    ways = {row["way"] for row, _ in errors} - one_sided
+    word = word_of_rows([_both(way, distances, errors) for way in ways])
+    return Verdict(word, *_answer(panels), panels=panels, caption=_caption(panels, one_sided))
+
+
+def _both(way: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) -> Row:
+    """The sign test of a way over recordings: is it nearer, and does it err less?
+
+    Both have to differ, so the larger p counts; of a way that errs more, that of its errors.
+    """
+    nearer, less = (
+        sign_test(
+            (row["env"], row["recording"], level - value)
+            for row, value in outcomes
+            if row["way"] == way
+        )
+        for outcomes, level in ((distances, 1), (errors, 0))
+    )
+    p = less.p
+    if 2 * less.above > less.n:
+        p = max(p, nearer.p if 2 * nearer.above > nearer.n else 1)
+    return {"p": p, "better on": less.above, "recordings": less.n}
 
 
 def _panel(env: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) -> Panel:
@@ -61,17 +90,13 @@ def _panel(env: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) ->
     return Panel(env, ways, recordings, min(map(len, counted)))
 
 
-def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
-    """A word, a sentence, and what speaks against it.
-
-    A task says yes if a way has both intervals below uniform weights, no if each errs more.
-    """
-    sides, per_task = [], []
+def _answer(panels: Sequence[Panel]) -> tuple[str, str]:
+    """What the tasks' intervals say, in a sentence, and what speaks against it."""
+    per_task = []
     for panel in panels:
         ways = panel.ways[1:]
         both = [LABELS.get(way, way) for way, near, e in ways if near.high < 1 and e.high < 1]
         all_worse = all(error.low > 1 for *_, error in ways)
-        sides.append(bool(both) - all_worse)
         per_task.append(
             f"{task_title(panel.env)}: {', '.join(both) or 'none' + '; all err more' * all_worse}."
         )
@@ -87,7 +112,7 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str, str]:
         f"Intervals over so few recordings are too narrow{few}, and "
         f"{2 * sum(len(panel.ways) - 1 for panel in panels)} are read at once, uncorrected.{none}"
     )
-    return word_of(sides), sentence, against
+    return sentence, against
 
 
 def _caption(panels: Sequence[Panel], one_sided: Collection[str]) -> str:

@@ -1,9 +1,8 @@
 """The answer of a study's tables to its question: a word by a stated rule, and what is against it.
 
-The rule: a group differs if its 95 % interval leaves out the level of no difference; without an
-interval, as where a task has one recording, if p is below .05 after correction (Bonferroni's, or
-the table's own). A study that has an acceptance is judged by how many of its numbers are met,
-the profiles of single runs by what most of them show.
+The rule: a group differs if its p is below .05 after correction (Bonferroni's, or the table's own),
+since 95 % intervals of few seeds and recordings are too narrow. A study that has an acceptance is
+judged by how many of its numbers are met, the profiles of single runs by what most of them show.
 """
 
 from collections.abc import Mapping, Sequence

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from tom.reports.report import read_csv, read_tables
-from tom.studies import STUDIES, load, two_axes
+from tom.studies import STUDIES, capacity, load, two_axes
 from tom.studies.verdicts import Tables, Verdict, verdict_of
 
 GALLERY = Path(__file__).parents[3] / "runs" / "studies"
@@ -47,22 +47,49 @@ def test_the_distances_are_medians_over_moments_averaged_over_recordings_and_tas
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "said"),
-    [(0.05, 0.2, "further"), (-0.2, -0.05, "nearer"), (-0.1, 0.1, "cannot be told")],
+    ("difference", "p", "said"),
+    [(0.1, 0.03, "further"), (-0.1, 0.03, "nearer"), (0.1, 0.2, "cannot be told")],
 )
-def test_a_rival_is_judged_by_the_interval_of_the_difference(low: float, high: float, said: str):
+def test_a_rival_is_judged_by_the_test_over_recordings(difference: float, p: float, said: str):
     table = read("footprint", "head-to-head")
     row = (table["way"] == "tom-mended") & (table["against"] == "recency")
     assert row.any()
-    table.loc[row, ["difference", "low", "high"]] = -(low + high) / 2, -high, -low
+    ends = -difference - 0.01, -difference + 0.01  # of an interval that leaves out zero
+    table.loc[row, ["difference", "low", "high", "p"]] = -difference, *ends, p
     assert said in of("footprint", head_to_head=table).against
+
+
+@pytest.mark.parametrize("recordings", [2, 4])
+def test_errors_that_differ_by_chance_alone_seldom_give_an_answer(recordings: int):
+    rng, ways, models = np.random.default_rng(0), ("tom-discounted", "tom-mended"), range(4)
+    words = []
+    for _ in range(40):
+        rows = []
+        for env in ("hopper", "walker2d", "halfcheetah"):
+            for one in range(recordings):
+                trial = {"env": env, "recording": f"{env} {one}", "step": 0, "seed": 0}
+                rows.append({**trial, "way": "uniform", **{f"error {m}": 1.0 for m in models}})
+                for way in ways:
+                    errors = {f"error {m}": np.exp(rng.normal(0, 0.1)) for m in models}
+                    rows.append({**trial, "way": way, **errors})
+        words.append(capacity.verdict({"head-to-head": capacity.head_to_head(rows)}).word)
+    assert words.count("No difference seen") >= 36
+
+
+def test_no_answer_is_given_where_the_recordings_disagree():
+    early = read("capacity-early", "head-to-head")
+    of_tom = early[(early["way"] == "tom-mended") & (early["against"] == "uniform")]
+    assert of_tom["better on"].between(2, 4).all()  # of six
+    assert of("capacity-early").word == "No difference seen"
+    errs = read("capacity-early", "moments")
+    assert on_two_axes(read("footprint-early", "moments"), errs).word == "No difference seen"
 
 
 def test_the_least_p_is_corrected_for_all_tests_that_are_shown():
     table = read("capacity", "head-to-head")
     shown = table.loc[table["against"] == "uniform", "p"]
     found = of("capacity")
-    assert found.word == "In part"  # small models gain, the paper's loses
+    assert found.word == "No difference seen"  # small models gain, but p is .06 after correction
     assert len(found.points) == len(shown)
     assert f"{len(shown) * min(shown):.2g}" in found.against
 
@@ -70,7 +97,7 @@ def test_the_least_p_is_corrected_for_all_tests_that_are_shown():
 def test_a_study_without_tom_is_judged_by_the_ways_it_has():
     found = of("capacity-ways")
     assert {point.series for point in found.points} == {"policy distance", "PMER"}
-    assert found.word == "No"  # one errs more, the other no less
+    assert found.word == "No difference seen"  # one errs more, on five of six recordings
     assert "PMER" in found.question
     assert "TOM" not in found.question
     assert not of("capacity").question  # the study's own
@@ -179,7 +206,7 @@ def test_a_way_stands_at_its_mean_over_recordings_with_their_spread():
                 assert least - 1e-9 <= found.low <= found.high <= most + 1e-9
 
 
-@pytest.mark.parametrize(("error", "word"), [(0.01, "Yes"), (100, "No"), (1, "In part")])
+@pytest.mark.parametrize(("error", "word"), [(0.01, "Yes"), (100, "No"), (1, "No difference seen")])
 def test_the_answer_is_yes_where_a_way_is_better_on_both_axes(error: float, word: str):
     near, errs = read("footprint", "moments"), read("capacity", "moments")
     errs.loc[errs["way"] != "uniform", "error 200 x 4"] *= error
