@@ -29,7 +29,7 @@ from tom.studies.moments import (
     word_of_rows,
 )
 from tom.studies.study import Findings, Row
-from tom.studies.verdicts import SIGNIFICANT, Tables, Verdict
+from tom.studies.verdicts import Tables, Verdict
 
 TITLE = "Where the weights lie"
 QUESTION = "Do TOM's weights bring a buffer nearer to what its policy does?"
@@ -150,8 +150,9 @@ def verdict(tables: Tables) -> Verdict:
     )
     rivals = {"recency": "Recency", "policy-distance": "The policies' distance"}
     rival_sentences = [
-        f"{name}, which trains nothing, keeps {rows[rival]['distance']:.2f}, which "
-        f"{_beside(pair, rival)} TOM mended ({of_test(pair)})."
+        f"{name}, which trains nothing, keeps {rows[rival]['distance']:.2f}; {LABELS[pair['way']]} "
+        f"is nearer than {LABELS[pair['against']]} on {pair['better on']:.0f} of "
+        f"{pair['recordings']:.0f} recordings (p {pair['p']:.2g})."
         for pair in tables["head-to-head"]
         for rival, name in rivals.items()
         if {pair["way"], pair["against"]} == {MENDED, rival}
@@ -160,14 +161,6 @@ def verdict(tables: Tables) -> Verdict:
     points = [way_point(row, "distance", LABELS[row["way"]]) for row in shown]
     axis = "distance to the policy (1: without weights)"
     return Verdict(word_of_rows(ours), sentence, " ".join(rival_sentences), axis, 1, points)
-
-
-def _beside(pair: Row, rival: str) -> str:
-    """How a way's distance lies beside the other's of a pair, by the test over recordings."""
-    if pair["p"] >= SIGNIFICANT:
-        return "cannot be told from"
-    further = (pair["difference"] > 0) == (pair["way"] == rival)
-    return "is further away than" if further else "is nearer than"
 
 
 def _moments(outcomes: Sequence[Row]) -> set[tuple[str, int]]:

@@ -6,7 +6,7 @@ One question that a footprint study and a capacity study of the same moments ans
 from collections.abc import Collection, Sequence
 from math import exp, log
 
-from tom.analysis.statistics import COVERAGE, Interval
+from tom.analysis.statistics import Interval
 from tom.readable import task_title
 from tom.studies.frozen import ERROR, LABELS, MODELS, UNIFORM, WAYS
 from tom.studies.moments import (
@@ -42,14 +42,14 @@ def verdict(near: Sequence[Row], errs: Sequence[Row]) -> Verdict:
     panels = [panel for panel in every if len(panel.ways) > 1]
     one_sided = {row["way"] for row in near} ^ {row["way"] for row in errs}
     ways = {row["way"] for row, _ in errors} - one_sided
-    word = word_of_rows([_both(way, distances, errors) for way in ways])
-    return Verdict(word, *_answer(panels), panels=panels, caption=_caption(panels, one_sided))
+    tests = [_test(way, distances, errors) for way in ways]
+    return Verdict(*_answer(panels, tests), panels=panels, caption=_caption(panels, one_sided))
 
 
-def _both(way: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) -> Row:
-    """The sign test of a way over recordings: is it nearer, and does it err less?
+def _test(way: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) -> Row:
+    """The sign test of a way over recordings: does it err less, and is it nearer?
 
-    Both have to differ, so the larger p counts; of a way that errs more, that of its errors.
+    It has to do both, so the larger p counts; of a way that errs more, that of its errors.
     """
     nearer, less = (
         sign_test(
@@ -90,9 +90,9 @@ def _panel(env: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) ->
     return Panel(env, ways, recordings, min(map(len, counted)))
 
 
-def _answer(panels: Sequence[Panel]) -> tuple[str, str]:
-    """What the tasks' intervals say, in a sentence, and what speaks against it."""
-    per_task = []
+def _answer(panels: Sequence[Panel], tests: Sequence[Row]) -> tuple[str, str, str]:
+    """A word by the tests, what the tasks' intervals say, and what speaks against it."""
+    word, per_task = word_of_rows(tests), []
     for panel in panels:
         ways = panel.ways[1:]
         both = [LABELS.get(way, way) for way, near, e in ways if near.high < 1 and e.high < 1]
@@ -104,15 +104,12 @@ def _answer(panels: Sequence[Panel]) -> tuple[str, str]:
         "By their intervals, these are nearer to the policy than uniform weights and also err "
         "less. " + " ".join(per_task)
     )
-    fewest = sorted({panel.recordings for panel in panels} & {*COVERAGE})[:1]
-    few = "".join(f" (with {n}, about {COVERAGE[n]} of 100 hold the true mean)" for n in fewest)
-    alone = [task_title(panel.env) for panel in panels if panel.recordings == 1]
-    none = f" {' and '.join(alone)}, with one recording, has none." if alone else ""
+    least = min(1.0, min(test["p"] for test in tests) * len(tests))
     against = (
-        f"Intervals over so few recordings are too narrow{few}, and "
-        f"{2 * sum(len(panel.ways) - 1 for panel in panels)} are read at once, uncorrected.{none}"
+        "Intervals over so few recordings are too narrow: over those of all tasks, the smallest p "
+        f"is {least:.2g}, corrected for {len(tests)} ways."
     )
-    return sentence, against
+    return word, sentence, against
 
 
 def _caption(panels: Sequence[Panel], one_sided: Collection[str]) -> str:

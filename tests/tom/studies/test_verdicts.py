@@ -46,17 +46,14 @@ def test_the_distances_are_medians_over_moments_averaged_over_recordings_and_tas
     assert of("footprint").word == "Yes"
 
 
-@pytest.mark.parametrize(
-    ("difference", "p", "said"),
-    [(0.1, 0.03, "further"), (-0.1, 0.03, "nearer"), (0.1, 0.2, "cannot be told")],
-)
-def test_a_rival_is_judged_by_the_test_over_recordings(difference: float, p: float, said: str):
-    table = read("footprint", "head-to-head")
+def test_what_speaks_against_has_the_rival_s_distance_and_test():
+    table, summary = read("footprint", "head-to-head"), read("footprint", "summary")
     row = (table["way"] == "tom-mended") & (table["against"] == "recency")
     assert row.any()
-    ends = -difference - 0.01, -difference + 0.01  # of an interval that leaves out zero
-    table.loc[row, ["difference", "low", "high", "p"]] = -difference, *ends, p
-    assert said in of("footprint", head_to_head=table).against
+    table.loc[row, ["better on", "recordings", "p"]] = 1, 7, 0.123
+    [distance] = summary.loc[summary["way"] == "recency", "distance"]
+    against = of("footprint", head_to_head=table).against
+    assert all(number in against for number in (f"{distance:.2f}", "1 of 7", "0.12"))
 
 
 @pytest.mark.parametrize("recordings", [2, 4])
