@@ -15,7 +15,7 @@ from tom.analysis import planes, scores, statistics
 from tom.analysis.curves import Curve, curve_of
 from tom.analysis.exams import Exams, exams_of, last_steps, medians, ranking
 from tom.analysis.grouping import has_uniform_learner
-from tom.analysis.statistics import RANKED, Interval
+from tom.analysis.statistics import RANKED, SIGNIFICANT, Interval
 from tom.analysis.weight_readers import first_weight_reader
 from tom.envs import ROAD
 from tom.errors import UserError
@@ -27,8 +27,6 @@ from tom.record.task_record import dimension_names, task_of
 
 Floats = NDArray[np.float64]
 Word = Literal["yes", "no", "unclear", "unknown"]
-SIGNIFICANT = 0.05
-"""the p below which two groups are said to differ"""
 STANDS_OUT = 0.1
 """the least share of the log weights that a plane explains if a part of the buffer stands out"""
 QUESTIONS = ("Where does it look?", "Is that where the policy goes?", "Does it help?")
@@ -259,10 +257,9 @@ def on_policy(side: Side) -> Answer:
         f"policy does next{_interval_text(footprint, len(measured))}; 100 % means no nearer than "
         "without weights, 0 % the policy itself."
     )
-    if len(measured) == 1:
-        return Answer(
-            "unknown", "Cannot be told yet", sentence, "One run gives no interval; two do."
-        )
+    if len(measured) < RANKED:
+        word = f"Cannot be told yet: {len(measured)} of {RANKED} runs"
+        return Answer("unknown", word, sentence, "Of fewer, chance often puts all on one side.")
     if footprint.high < 1:
         return Answer("yes", "Yes, nearer to the policy", sentence)
     if footprint.low > 1:

@@ -19,6 +19,8 @@ Statistic = Callable[..., Array]
 
 LEVEL = 0.95  # of every interval and band
 RESAMPLES = 2000
+SIGNIFICANT = 0.05
+"""the p below which two groups are said to differ"""
 ENOUGH = 10
 """With fewer seeds than this a result carries a remark."""
 RANKED = 5

@@ -30,6 +30,7 @@ from tom.studies.frozen import (
 from tom.studies.moments import (
     QUESTIONS,
     add_measure_options,
+    against_intervals,
     answer_sentences,
     comparisons,
     findings,
@@ -156,11 +157,6 @@ def verdict(tables: Tables) -> Verdict:
         f"{' and '.join(less) or 'no model'} (units x layers). The error of {models[-1]} over that "
         f"with uniform weights is {' and '.join(cost)}."
     )
-    least = min(1.0, min(row["p"] for row in table) * len(table))
-    against = (
-        "Intervals over so few recordings are too narrow: corrected for all "
-        f"{len(table)} tests of the table, the smallest p is {least:.2g}."
-    )
     points = [way_point(row, "ratio", row["model"], LABELS[row["way"]]) for row in table]
     axis = "model error (1: as with uniform weights)"
     question = ""
@@ -168,7 +164,7 @@ def verdict(tables: Tables) -> Verdict:
         ways = " and ".join(dict.fromkeys(point.series for point in points))
         question = QUESTION.replace("TOM's weights", f"the weights of {ways}")
     word = word_of_rows(ours)
-    return Verdict(word, sentence, against, axis, 1, points, question=question)
+    return Verdict(word, sentence, against_intervals(table), axis, 1, points, question=question)
 
 
 def capacity_figure(outcomes: Sequence[Row], ahead: str) -> Figure:

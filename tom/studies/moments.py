@@ -342,6 +342,13 @@ def of_test(row: Row) -> str:
     return f"p {row['p']:.2g}, {row['recordings']:.0f} recordings"
 
 
+def against_intervals(rows: Sequence[Row]) -> str:
+    """What speaks against the intervals of rows: the smallest p of their tests, corrected."""
+    least = min(1.0, min(row["p"] for row in rows) * len(rows))
+    what = f"Corrected for {len(rows)} tests over all recordings, the smallest p is {least:.2g}"
+    return f"{what}: intervals over so few are too narrow."
+
+
 def way_point(row: Row, column: str, line: str, series: str = "") -> Point:
     """The point of a row's way, at the value in `column`."""
     way, ends = row["way"], (row.get("low", nan), row.get("high", nan))

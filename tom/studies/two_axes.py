@@ -11,6 +11,7 @@ from tom.readable import task_title
 from tom.studies.frozen import ERROR, LABELS, MODELS, UNIFORM, WAYS
 from tom.studies.moments import (
     Value,
+    against_intervals,
     informative_outcomes,
     over_recordings,
     ratios,
@@ -59,9 +60,8 @@ def _test(way: str, distances: Sequence[Outcome], errors: Sequence[Outcome]) -> 
         )
         for outcomes, level in ((distances, 1), (errors, 0))
     )
-    p = less.p
-    if 2 * less.above > less.n:
-        p = max(p, nearer.p if 2 * nearer.above > nearer.n else 1)
+    near = nearer.p if 2 * nearer.above > nearer.n else 1
+    p = max(less.p, near) if 2 * less.above > less.n else less.p
     return {"p": p, "better on": less.above, "recordings": less.n}
 
 
@@ -94,22 +94,13 @@ def _answer(panels: Sequence[Panel], tests: Sequence[Row]) -> tuple[str, str, st
     """A word by the tests, what the tasks' intervals say, and what speaks against it."""
     word, per_task = word_of_rows(tests), []
     for panel in panels:
-        ways = panel.ways[1:]
-        both = [LABELS.get(way, way) for way, near, e in ways if near.high < 1 and e.high < 1]
-        all_worse = all(error.low > 1 for *_, error in ways)
-        per_task.append(
-            f"{task_title(panel.env)}: {', '.join(both) or 'none' + '; all err more' * all_worse}."
-        )
+        both = [LABELS.get(way, way) for way, *of in panel.ways if all(one.high < 1 for one in of)]
+        per_task.append(f"{task_title(panel.env)}: {', '.join(both) or 'none'}.")
     sentence = (
         "By their intervals, these are nearer to the policy than uniform weights and also err "
         "less. " + " ".join(per_task)
     )
-    least = min(1.0, min(test["p"] for test in tests) * len(tests))
-    against = (
-        "Intervals over so few recordings are too narrow: over those of all tasks, the smallest p "
-        f"is {least:.2g}, corrected for {len(tests)} ways."
-    )
-    return word, sentence, against
+    return word, sentence, against_intervals(tests)
 
 
 def _caption(panels: Sequence[Panel], one_sided: Collection[str]) -> str:

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import NamedTuple
 
-from tom.analysis.statistics import Interval
+from tom.analysis.statistics import SIGNIFICANT, Interval
 from tom.studies.study import Row
 
-SIGNIFICANT = 0.05
 MAX_NAMED = 3
 """numbers of an acceptance that are named"""
 Tables = Mapping[str, Sequence[Row]]

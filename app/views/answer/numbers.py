@@ -17,7 +17,6 @@ from app.parts import widgets
 from app.parts.plot import chart
 from app.parts.scope import Scope
 from tom.analysis import statistics
-from tom.analysis.answer import SIGNIFICANT
 from tom.analysis.exams import Exams, Ranking, Standing, exams_of, ranking
 from tom.analysis.scores import counted_from, interval
 from tom.readable import UNKNOWN, percent, short
@@ -133,7 +132,7 @@ def verdict(result: Ranking) -> str:
         f"(95 % interval {beats.low:.2f} to {beats.high:.2f}; p {p:.2g} by permutation)"
     )
     where = "**Where its own policy goes, "
-    if p < SIGNIFICANT:
+    if p < statistics.SIGNIFICANT:
         return f"{where}{one} errs least**: {errors}. More than noise: {chance}."
     return f"{where}no learner errs clearly less**: {one} has the least, {errors}, but {chance}."
 

@@ -9,6 +9,7 @@ import pytest
 from tom.analysis import answer
 from tom.analysis.answer import Contrast, Side
 from tom.analysis.curves import Curve
+from tom.analysis.exams import Exams
 from tom.record.decode import Profiles
 
 
@@ -86,3 +87,22 @@ def test_a_learner_that_weighs_alike_looks_nowhere_and_has_no_footprint():
 
 def test_without_exams_the_policys_place_is_unknown():
     assert answer.on_policy(side([1.0, 2.0])).word == "unknown"
+
+
+def footprints(*of_runs: float) -> Side:
+    """A group whose runs have one exam each, with these footprints."""
+    known, none = np.zeros(1), np.full(1, np.nan)
+    exams = [
+        Exams(str(i), "tom", i, "ours", np.array([100]), none, none, np.full(1, one), known, none)
+        for i, one in enumerate(of_runs)
+    ]
+    return replace(side([1.0] * len(exams)), exams=exams)
+
+
+def test_footprints_of_as_few_runs_as_chance_often_puts_on_one_side_tell_nothing():
+    assert answer.on_policy(footprints(0.9, 0.8)).word == "unknown"
+    assert "85" in answer.on_policy(footprints(0.9, 0.8)).sentence
+    nearer = [0.9, 0.8, 0.85, 0.95, 0.9]
+    assert answer.on_policy(footprints(*nearer)).word == "yes"
+    assert answer.on_policy(footprints(*(2 - one for one in nearer))).word == "no"
+    assert answer.on_policy(footprints(*nearer[:3], 1.1, 1.2)).word == "unclear"
