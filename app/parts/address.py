@@ -131,6 +131,7 @@ def choose_many(
     Of an address no more than its `max_selections` are taken.
     """
     most = more.get("max_selections")
+    follow_default(key, list(default))
     held = value_of(
         key, lambda given: _parse_options(options, given, label_of)[:most] or list(default)
     )
