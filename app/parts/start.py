@@ -284,7 +284,7 @@ def _stop(run: RunReader) -> None:
 
 def resume_command(run: RunReader) -> str:
     """The command that resumes a run, for a terminal in any folder."""
-    return shlex.join(["tom", "train", "--resume", run.run_id, "--store", session.links().store])
+    return form.command_line(["train", "--resume", run.run_id, "--store", session.links().store])
 
 
 def _asked_to_stop() -> set[str]:
