@@ -72,6 +72,15 @@ def test_places_are_spread_apart_and_keep_their_order(places: list[float], gap: 
         assert after == pytest.approx(before)
 
 
+def test_long_names_leave_the_lines_their_room_and_are_told_apart() -> None:
+    variants = [f"model.hidden {units}, rollout.uniform_share 0.5, tom.flow {flow}"
+                for units in (8, 200) for flow in ("restart", "discounted")]  # fmt: skip
+    figure = labelled([replace(group("tom", 90), variant=words) for words in variants])
+    drawn = [one["text"] for one in labels(figure)]
+    assert len(set(drawn)) == len(variants)
+    assert figure.layout.margin.r < 220  # of a panel that is 416 pixels wide
+
+
 def test_one_longer_run_leaves_the_others_the_width() -> None:
     steps = np.arange(0, 150_000, 1000)
     long = Curve("long", "hopper", "tom", "paper", 9, steps, steps / 300)
