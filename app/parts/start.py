@@ -128,7 +128,7 @@ def _form() -> None:
             st.error(str(error))
             return
         steps = row[4].number_input(
-            "Steps", 1, None, usual, key=f"start steps {env} {preset}", help="env steps of each run"
+            "Steps", 1, None, usual, key=f"start steps {env} {preset}", help="of each run"
         )
         given = {"steps": str(steps)} if steps != usual else {}
         with st.expander("More settings (empty: the preset's value)"):

@@ -168,7 +168,7 @@ def _improvement(styles: Sequence[Style], scores: Sequence[NDArray], keep: str) 
 
 def _efficiency(table: pd.DataFrame, level: float, until: float) -> None:
     st.markdown(
-        f"**Sample efficiency**: env steps until the return is {level:,.6g}; "
+        f"**Sample efficiency**: steps until the return is {level:,.6g}; "
         f"runs are followed up to step {until:,.0f}, which every run reaches"
     )
     steps = {
