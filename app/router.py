@@ -125,7 +125,7 @@ def run() -> None:
     draw(chosen.run)
     task = st.session_state.get("task shown", "")
     st.set_page_config(page_title=" - ".join(filter(None, (chosen.title, task, "TOM Studio"))))
-    session.note_drawn()
+    st.session_state[session.DRAWN] = True
     FIRST.set()
 
 

@@ -101,12 +101,10 @@ def choose_one(
     **more: Any,
 ) -> T:
     """The user's choice of one of `options`: a selectbox, a segmented control or a slider."""
-
-    def read(given: list[str]) -> T:
-        return next(iter(_parse_options(options, given, label_of)), default)
-
     follow_default(key, default)
-    value_of(key, read, owner)
+    value_of(
+        key, lambda given: next(iter(_parse_options(options, given, label_of)), default), owner
+    )
     if st.session_state[key] not in options:
         st.session_state[key] = default
     picked = widget(label, options, key=key, format_func=label_of, **more)

@@ -48,10 +48,7 @@ def page(scope: Scope) -> None:
     start.draw()
     groups = scope.comparable(scope.chosen_id)
     if not groups:
-        st.info(
-            "No run that is shown learns a model: show others by the list at the left, or start "
-            "a training."
-        )
+        st.info("No shown run learns a model: show others at the left, or start a training.")
         return
     titles = list(groups)
     head = st.columns([3, 3, 4], vertical_alignment="bottom")

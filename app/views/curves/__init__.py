@@ -133,13 +133,12 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
                     caption=caption(metric, env, grouped, how, scope),
                 )  # fmt: skip
     if first_groups:
-        metric = metrics[0]
         st.caption(remarks(first_groups, first_curves, how, scope))
         table = tables.summary(first_groups)
-        if metric not in ("eval/return", "eval/return_max"):
+        if metrics[0] not in ("eval/return", "eval/return_max"):
             # The highest value of another metric, such as an error, may be the worst.
             table = table.rename(columns=lambda name: name.replace("best", "highest", 1))
-        st.markdown(f"**{text.markdown(metric)}** at the step that all runs of a group reach")
+        st.markdown(f"**{text.markdown(metrics[0])}** at the step that all runs of a group reach")
         st.dataframe(
             with_interval_text(table), hide_index=True, column_config=COLUMNS, alt="The groups"
         )
