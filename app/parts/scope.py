@@ -150,9 +150,8 @@ def _runs_of_task(everything: Sequence[RunReader], asked: str) -> list[RunReader
         st.selectbox, "Task", [*sorted(tasks), EVERY_TASK], "task", first,
         lambda name: name if name == EVERY_TASK else task_title(name), label_visibility="collapsed",
     )  # fmt: skip
-    st.session_state["task shown"] = (
-        "" if env == EVERY_TASK else task_title(env)
-    )  # a window's title
+    title = "" if env == EVERY_TASK else task_title(env)
+    st.session_state["task shown"] = title  # in the window's title
     return [run for run in everything if env in (EVERY_TASK, run.env)]
 
 
