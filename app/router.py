@@ -114,7 +114,7 @@ def views() -> tuple[View | Page, ...]:
 
 
 def run() -> None:
-    """Draw the page in the address, or the empty store's page if there are no runs."""
+    """Draw the page in the address, or that of an empty store."""
     st.set_page_config(page_title="TOM Studio", page_icon=ICON, layout="wide")
     st.logo(LOGO, size="medium")
     pages = [_streamlit_page(view, view.ICON, first=i == 0) for i, view in enumerate(views())]
@@ -125,7 +125,7 @@ def run() -> None:
     draw(chosen.run)
     task = st.session_state.get("task shown", "")
     st.set_page_config(page_title=" - ".join(filter(None, (chosen.title, task, "TOM Studio"))))
-    session.note_drawn()
+    st.session_state[session.DRAWN] = True
     FIRST.set()
 
 
@@ -140,9 +140,9 @@ def _streamlit_page(view: View | Page, icon: str, first: bool) -> StreamlitPage:
 
 
 def draw(page: Callable[[], None]) -> None:
-    """The page, or the empty store's page if there are neither runs nor weighed data."""
+    """The page, or that of an empty store: neither runs, also in the trash, nor weighed data."""
     store = session.links().store
-    if not readers.listing(store).runs:
+    if not (readers.listing(store).runs or readers.trashed(store)):
         from app.data import weighings  # here: a store with runs needs neither
         from app.parts import start
 

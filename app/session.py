@@ -11,6 +11,7 @@ from app.links import Links
 from app.theme import Mode
 
 DRAWN = "drawn"
+"""whether a page of this tab has been drawn to its end"""
 
 
 def links() -> Links:
@@ -28,11 +29,6 @@ def mode() -> Mode:
     if shown not in ("light", "dark") or (given and not st.session_state.get(DRAWN)):
         return given or "light"
     return cast(Mode, shown)
-
-
-def note_drawn() -> None:
-    """Note that a page of this tab has been drawn to its end."""
-    st.session_state[DRAWN] = True
 
 
 def read_only_reason() -> str:

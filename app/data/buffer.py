@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.data.cache import cached
-from app.data.readers import fresh_reader, profiles
+from app.data.readers import fresh_reader
 from tom.data.transitions import Transitions, episodes
 from tom.envs import ROAD, Task
 from tom.errors import UserError
@@ -132,12 +132,6 @@ def recorded(run: RunReader) -> Recorded:
 def recorded_with_states(run: RunReader) -> Recorded:
     """A run's whole buffer for a scene of its robots, without the actions' Gaussians."""
     return fresh_reader(run).recorded(behaviour=False)
-
-
-def rows(run: RunReader, step: int) -> Rows | None:
-    """The replay buffer at the fit of `step`, with that fit's weights; None if it is damaged."""
-    weight = fit_weight(run, step)
-    return weighed_rows(run, weight, profiles(run).rows_at(step))
 
 
 def weighed_rows(run: RunReader, weight: NDArray, end: int) -> Rows | None:

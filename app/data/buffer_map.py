@@ -237,7 +237,8 @@ def explained_share(run: RunReader, key: str, source: Source) -> float:
 def source_codes(run: RunReader, source: Source, name: str) -> tuple[columns.Codes, Column] | None:
     """The codes (N,) of a quantity of the rows of these weights; None if it is not known."""
     if name == AGE.name:
-        return columns.age_codes(len(source.weight)), AGE
+        count = len(source.weight)
+        return (np.arange(count) * columns.TOP // max(count - 1, 1)).astype(np.uint16), AGE
     if name == WEIGHT.name:
         return columns.weight_codes(source.weight), WEIGHT
     if name == RANK.name:

@@ -60,11 +60,6 @@ def weight_codes(weight: NDArray) -> Codes:
     return np.where(weight > 0, codes, 0).astype(np.uint16)
 
 
-def age_codes(count: int) -> Codes:
-    """The age of each of N rows, oldest first, in % of the buffer."""
-    return (np.arange(count) * TOP // max(count - 1, 1)).astype(np.uint16)
-
-
 def rank_codes(codes: Codes) -> Codes:
     """By weight codes (N,): the share of the rows that weigh no more, in %."""
     below = np.cumsum(np.bincount(codes, minlength=UNKNOWN + 1))

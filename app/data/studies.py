@@ -40,18 +40,13 @@ class Study:
         return self.name if self.name in STUDIES else verb
 
     @property
-    def has_factors(self) -> bool:
-        """Whether it tells weights in the model from weights in the starts."""
-        return any(table.stem == "factors" for table in self.tables)
-
-    @property
     def question(self) -> str:
         return load(self.verb).QUESTION if self.verb in STUDIES else ""
 
     @property
     def question_key(self) -> str:
         """What studies of one question have in common; other studies stand alone."""
-        if self.has_factors:
+        if any(table.stem == "factors" for table in self.tables):  # model apart from starts
             return f"{self.verb}-apart"
         return self.verb if self.verb in STUDIES else self.name
 

@@ -49,8 +49,8 @@ HOLLOW = 4.2
 """the width of a hollow line"""
 CORE = "core"
 """the name of the traces that are the insides of hollow lines"""
-LONGEST = 40
-"""maximum number of characters of a group's title in the hover text"""
+LONGEST = 28
+"""maximum number of characters of a group's title in the hover text and beside its line"""
 MARK, HOLLOW_MARK = "\u25a0", "\u25a1"
 GAP, LETTER, ROOM = 15, 6.4, 14
 """pixels: least distance of two labels, a letter, and the room around a label"""
@@ -66,6 +66,12 @@ class Style:
     symbol: str
     core: str = ""
     """the paler colour inside a line that is hollow; its edge has the `colour`"""
+
+    @property
+    def short(self) -> str:
+        """The title without its middle if it is long: its ends tell it apart."""
+        begin, end = self.title[: LONGEST // 2 - 1], self.title[-LONGEST // 2 :]
+        return self.title if len(self.title) <= LONGEST else f"{begin}\u2026{end}"
 
 
 def styles_of(
@@ -276,8 +282,7 @@ def _group_lines(group: Group, style: Style, key: str) -> list[go.Scatter]:
         parts.append((np.ones_like(full), np.where(near, group.mean, np.nan), False))
     marked = len(group.step) < 40 and not group.interpolated
     statistic = {"mean": "mean", "median": "median", "iqm": "IQM"}[group.statistic]
-    title = style.title if len(style.title) <= LONGEST else f"{style.title[: LONGEST - 3]}..."
-    hover = f"<b>{text.plotly(title)}</b> {statistic}, n = %{{customdata}}: %{{y:.4g}}"
+    hover = f"<b>{text.plotly(style.short)}</b> {statistic}, n = %{{customdata}}: %{{y:.4g}}"
     lines = [
         line(
             group.step[here],
@@ -335,7 +340,7 @@ def label_ends(
     span = (high - low) or 1.0
     pixels = (figure.layout.height or 300) - 60  # type: ignore[attr-defined]
     place = spread_apart((ys - low) / span * pixels, GAP)
-    names = [f"{look.title} ({n})" for _, look, n in ends]
+    names = [f"{look.short} ({n})" for _, look, n in ends]
     for name, (_, style, _), at in zip(names, ends, place, strict=True):
         mark = HOLLOW_MARK if style.core else MARK
         figure.add_annotation(

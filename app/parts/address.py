@@ -97,11 +97,14 @@ def choose_one(
     key: str,
     default: T,
     label_of: Callable[[T], str] = str,
+    owner: object = None,
     **more: Any,
 ) -> T:
     """The user's choice of one of `options`: a selectbox, a segmented control or a slider."""
     follow_default(key, default)
-    value_of(key, lambda given: next(iter(_parse_options(options, given, label_of)), default))
+    value_of(
+        key, lambda given: next(iter(_parse_options(options, given, label_of)), default), owner
+    )
     if st.session_state[key] not in options:
         st.session_state[key] = default
     picked = widget(label, options, key=key, format_func=label_of, **more)
@@ -131,6 +134,7 @@ def choose_many(
     Of an address no more than its `max_selections` are taken.
     """
     most = more.get("max_selections")
+    follow_default(key, list(default))
     held = value_of(
         key, lambda given: _parse_options(options, given, label_of)[:most] or list(default)
     )

@@ -57,9 +57,7 @@ def _progress(name: str) -> None:
     share = min(int(found[1]) / max(int(found[2]), 1), 1.0) if found else 0.0
     left.progress(share, f"{text.markdown(name)}: {text.markdown(last)}")
     if not session.read_only_reason() and right.button("Stop", key=f"stop {name}", width="stretch"):
-        process = (
-            started_commands().pop(name).process
-        )  # what a study has finished is stored: it goes on there
+        process = started_commands().pop(name).process  # a study keeps what it has finished
         process.terminate()
         process.wait()
         st.rerun()

@@ -124,7 +124,7 @@ def draw() -> Scope:
                 runs = [run for run in runs if not picked or picked.intersection(values(run))]
         runs = matching(runs, words)
         scope = _scope(runs, by)
-        if not runs:
+        if everything and not runs:
             st.info("No run passes these filters.", icon=":material/filter_alt_off:")
         _draw_list(scope)
         frame(everything)
@@ -150,9 +150,8 @@ def _runs_of_task(everything: Sequence[RunReader], asked: str) -> list[RunReader
         st.selectbox, "Task", [*sorted(tasks), EVERY_TASK], "task", first,
         lambda name: name if name == EVERY_TASK else task_title(name), label_visibility="collapsed",
     )  # fmt: skip
-    st.session_state["task shown"] = (
-        "" if env == EVERY_TASK else task_title(env)
-    )  # a window's title
+    title = "" if env == EVERY_TASK else task_title(env)
+    st.session_state["task shown"] = title  # in the window's title
     return [run for run in everything if env in (EVERY_TASK, run.env)]
 
 
@@ -200,9 +199,12 @@ def _draw_list(scope: Scope) -> None:
                 "chosen": run.run_id == scope.chosen_id,
             }
             for run in sorted(runs, key=lambda run: (run.env, run.seed))
+            if run.run_id in named
         ]  # fmt: skip
+        left = sum(run.run_id not in scope.hidden for run in runs)
         return {
             "title": style.title, "colour": style.colour, "core": style.core, "runs": items,
+            "count": len(runs), "left": left,
             "hidden": style.title in scope.hidden, "folded": style.title in scope.folded,
         }  # fmt: skip
 
@@ -212,8 +214,7 @@ def _draw_list(scope: Scope) -> None:
         of_section = [run for run in scope.runs if run.small_copy == example]
         listed: dict[str, list[RunReader]] = {name: [] for name in scope.order}
         for run in of_section:
-            if run.run_id in named:
-                listed[scope.title(run)].append(run)
+            listed[scope.title(run)].append(run)
         groups = [group(styles[name], runs) for name, runs in listed.items() if runs]
         groups.sort(key=lambda group: bool(group["folded"]))
         left = sum(run.run_id not in named for run in of_section)

@@ -52,7 +52,8 @@ def target(store: Path | str, code: str) -> str | None:
 
 def button() -> None:
     """A small menu with the address of the shown view, and a short one if the store is writable."""
-    with st.popover("Link", icon=":material/link:"):
+    # Drawn again when it is opened: a zoom draws its panels alone.
+    with st.popover("Link", icon=":material/link:", key="link", on_change="rerun"):
         query = urlencode({key: st.query_params.get_all(key) for key in st.query_params}, True)
         here = (st.context.url or "").split("?")[0]
         page = here.rstrip("/").rpartition("/")[2]

@@ -128,7 +128,7 @@ def _form() -> None:
             st.error(str(error))
             return
         steps = row[4].number_input(
-            "Steps", 1, None, usual, key=f"start steps {env} {preset}", help="env steps of each run"
+            "Steps", 1, None, usual, key=f"start steps {env} {preset}", help="of each run"
         )
         given = {"steps": str(steps)} if steps != usual else {}
         with st.expander("More settings (empty: the preset's value)"):
@@ -195,7 +195,9 @@ def _cards() -> None:
         ):
             jobs.show(name)
     alive = [run for run in runs if run.status.alive]
-    shown = [*alive, *[run for run in runs if just_ended(run)][:MOST]]
+    recent = [run for run in runs if time.time() - run.status.heartbeat < RECENT_S]
+    ended = [run for run in recent if not run.status.alive and not run.small_copy]
+    shown = [*alive, *ended[:MOST]]
     width = 2 if len(shown) == 4 else min(len(shown), IN_ROW)
     presets = distinguishing_presets(runs)
     preset = {run.run_id: words for run, words in zip(runs, presets, strict=True)}
@@ -205,11 +207,6 @@ def _cards() -> None:
             row = st.columns(width)
         with row[i % width], st.container(border=True, gap="small"):
             _card(run, preset[run.run_id])
-
-
-def just_ended(run: RunReader) -> bool:
-    recent = time.time() - run.status.heartbeat < RECENT_S
-    return recent and not run.status.alive and not run.small_copy
 
 
 def _card(run: RunReader, preset: str) -> None:
@@ -284,7 +281,7 @@ def _stop(run: RunReader) -> None:
 
 def resume_command(run: RunReader) -> str:
     """The command that resumes a run, for a terminal in any folder."""
-    return shlex.join(["tom", "train", "--resume", run.run_id, "--store", session.links().store])
+    return form.command_line(["train", "--resume", run.run_id, "--store", session.links().store])
 
 
 def _asked_to_stop() -> set[str]:

@@ -126,7 +126,9 @@ function titleOf({ layout }, id) {
 // Every drawn number, one line each, with the name of its trace, its group and the group's preset; a
 // hollow line once.
 function csv(plot) {
-  const worded = (value) => (typeof value === "string" ? plain(value) : value);
+  // A spreadsheet takes no text for a formula (as tom/harmless.py).
+  const harmless = (words) => (/^[=+\-@\t\r]./s.test(words) && Number.isNaN(Number(words)) ? `'${words}` : words);
+  const worded = (value) => (typeof value === "string" ? harmless(plain(value)) : value);
   const quoted = (value) => (/[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : value);
   const { y: named, groups, floor } = plot.layout.meta ?? {};
   const drawn = drawnTraces(plot).filter(({ name }) => name !== "core");

@@ -64,8 +64,7 @@ function item(root, run, given) {
 function group(root, given) {
   const box = make("div", given.hidden ? "group off" : "group");
   const head = make("div", "head");
-  const left = given.runs.filter(({ hidden }) => !hidden).length;
-  const all = given.runs.length;
+  const { left, count: all } = given;
   const name = make("button", "name", given.title);
   const key = `${given.section} ${given.title}`;
   const open = root.folds.get(key) ?? given.runs.some(({ chosen }) => chosen);

@@ -48,7 +48,7 @@ def page(scope: Scope) -> None:
     start.draw()
     groups = scope.comparable(scope.chosen_id)
     if not groups:
-        st.info("No run of this task learns a model yet: choose another task, or start a training.")
+        st.info("No shown run learns a model: show others at the left, or start a training.")
         return
     titles = list(groups)
     head = st.columns([3, 3, 4], vertical_alignment="bottom")
@@ -67,7 +67,7 @@ def page(scope: Scope) -> None:
     st.header(heading, anchor=False)
     _cards(scope, both)
     if env != ROAD:  # which has no exams
-        behind = st.expander("The numbers behind it", key="numbers behind", on_change="rerun")
+        behind = address.fold("The numbers behind it", "numbers")
         if behind.open:
             with behind:
                 numbers.draw(scope, env)

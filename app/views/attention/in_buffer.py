@@ -61,7 +61,9 @@ def choose(
     if not data:
         return run
     options = [*([] if run is None else ["the chosen run"]), *data]
-    chosen = address.choose_one(place().selectbox, "Buffer of", options, "data", options[0])
+    chosen = address.choose_one(
+        place().selectbox, "Buffer of", options, "data", options[0], owner=scope.chosen_id
+    )
     return data.get(chosen, run)
 
 

@@ -219,7 +219,9 @@ def _weigh_form(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) ->
             st.caption(why)
         elif foreign or is_code(run.env):
             st.caption("This runs code of yours, so start it in a terminal.")
-        elif st.button("Weigh", type="primary", disabled=not learners, key="weigh"):
+        elif st.button(
+            "Weigh", type="primary", disabled=not learners or jobs.is_running(job), key="weigh"
+        ):
             jobs.start(job, words)
         if len(usable) < len(LEARNERS):
             lacking = ", ".join(learner_label(name) for name in LEARNERS if name not in usable)

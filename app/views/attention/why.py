@@ -187,7 +187,10 @@ def _offer_weighing(run: RunReader, step: int | None) -> None:
     job = f"Weighing {run.run_id} at {step}"
     if why := session.read_only_reason():
         st.caption(why)
-    elif st.button(f"Weigh this buffer by {learner_label(SUBJECT)}", key="why weigh"):
+    elif st.button(
+        f"Weigh this buffer by {learner_label(SUBJECT)}", key="why weigh",
+        disabled=jobs.is_running(job),
+    ):  # fmt: skip
         jobs.start(job, words)
     jobs.show(job)
 
@@ -237,8 +240,8 @@ def _brush_form(job: str, run: RunReader, source: Source, mask: Mask) -> None:
     elif not 0 < count < len(mask):
         st.caption("Choose some rows of the buffer above, not all of them.")
     elif right.button(
-        f"Fit small models: {count:,} transitions", key="brush it", disabled=not factors,
-        type="primary", width="stretch",
+        f"Fit small models: {count:,} transitions", key="brush it", type="primary", width="stretch",
+        disabled=not factors or jobs.is_running(job),
     ):  # fmt: skip
         with NamedTemporaryFile("w", prefix="tom-brush-", suffix=".txt", delete=False) as file:
             np.savetxt(file, source.first + np.flatnonzero(mask), fmt="%d")

@@ -100,8 +100,8 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
     if not envs:
         st.info("Every run is hidden. Click an eye on the left to show its runs again.")
         return
-    seen = measure.zoom(how.axes.x)
-    first: tuple[list[Curve], list[Group]] | None = None
+    seen = measure.zoom((how.axes.x, *sorted({run.env for run in scope.runs})))
+    first_curves, first_groups = list[Curve](), list[Group]()
     on_steps = how.axes.x == measure.STEPS
     grid = st.container(horizontal=True, key="grid")
     for metric, env in product(metrics, envs):
@@ -109,7 +109,9 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
         curves, grouped = measure.grouped(
             here, scope.kinds, metric, how.axes.x, how.statistic, how.band
         )
-        first = first or (curves, grouped)
+        if metric == metrics[0]:
+            first_curves += curves
+            first_groups += grouped
         with grid, st.container(border=True):
             where = f"{task_title(env)}: " if len(envs) > 1 else ""
             title = text.markdown(where + short_title(metric))
@@ -130,14 +132,13 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
                     follow=Follow(cursor=on_steps), linked="curves",
                     caption=caption(metric, env, grouped, how, scope),
                 )  # fmt: skip
-    if first is not None and first[1]:
-        (curves, grouped), metric = first, metrics[0]
-        st.caption(remarks(grouped, curves, how, scope))
-        table = tables.summary(grouped)
-        if metric not in ("eval/return", "eval/return_max"):
+    if first_groups:
+        st.caption(remarks(first_groups, first_curves, how, scope))
+        table = tables.summary(first_groups)
+        if metrics[0] not in ("eval/return", "eval/return_max"):
             # The highest value of another metric, such as an error, may be the worst.
             table = table.rename(columns=lambda name: name.replace("best", "highest", 1))
-        st.markdown(f"**{text.markdown(metric)}** at the step that all runs of a group reach")
+        st.markdown(f"**{text.markdown(metrics[0])}** at the step that all runs of a group reach")
         st.dataframe(
             with_interval_text(table), hide_index=True, column_config=COLUMNS, alt="The groups"
         )

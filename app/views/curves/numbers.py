@@ -100,7 +100,9 @@ def _remarks(
     ends = sorted((curve.step[-1], curve.run_id) for group in every for curve in group.curves)
     words.append(f"Scores count up to step {until:,.0f}, which every run reaches.")
     if len(ends) > 1 and ends[0][0] < ends[1][0]:
-        words.append(f"{text.markdown(ends[0][1])} ends there; without it, they would go on.")
+        words.append(
+            f"The record of {text.markdown(ends[0][1])} ends there; without it, they would go on."
+        )
     if since is not None:
         words.append(f"Heights count from step {since:,.0f}, which every run has.")
     late = [text.markdown(scope.styles[g.kind].title) for g in every if g not in grouped]
@@ -166,7 +168,7 @@ def _improvement(styles: Sequence[Style], scores: Sequence[NDArray], keep: str) 
 
 def _efficiency(table: pd.DataFrame, level: float, until: float) -> None:
     st.markdown(
-        f"**Sample efficiency**: env steps until the return is {level:,.6g}; "
+        f"**Sample efficiency**: steps until the return is {level:,.6g}; "
         f"runs are followed up to step {until:,.0f}, which every run reaches"
     )
     steps = {

@@ -36,7 +36,8 @@ def draw(scope: Scope) -> None:
     """A table of the runs that pass the filters, with their eyes; below it actions on them."""
     runs = scope.runs
     table = overview(runs)
-    table.insert(0, "shown", np.array([run in scope.shown for run in runs], bool))
+    shown = [scope.hidden.isdisjoint((run.run_id, scope.title(run))) for run in runs]
+    table.insert(0, "shown", np.array(shown, bool))
     apart = {path: of for path, of in differences(runs).items() if path not in OWN_COLUMNS}
     for path, of in reversed([*apart.items()][:MOST_SETTINGS]):
         table.insert(4, path, of)  # after the name and the tags

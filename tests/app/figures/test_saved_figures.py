@@ -72,6 +72,15 @@ def test_places_are_spread_apart_and_keep_their_order(places: list[float], gap: 
         assert after == pytest.approx(before)
 
 
+def test_long_names_leave_the_lines_their_room_and_are_told_apart() -> None:
+    variants = [f"model.hidden {units}, rollout.uniform_share 0.5, tom.flow {flow}"
+                for units in (8, 200) for flow in ("restart", "discounted")]  # fmt: skip
+    figure = labelled([replace(group("tom", 90), variant=words) for words in variants])
+    drawn = [one["text"] for one in labels(figure)]
+    assert len(set(drawn)) == len(variants)
+    assert figure.layout.margin.r < 220  # of a panel that is 416 pixels wide
+
+
 def test_one_longer_run_leaves_the_others_the_width() -> None:
     steps = np.arange(0, 150_000, 1000)
     long = Curve("long", "hopper", "tom", "paper", 9, steps, steps / 300)
@@ -218,6 +227,15 @@ def test_each_panel_s_numbers_are_saved_under_its_own_axes() -> None:
 
 
 @in_browser
+def test_no_name_of_a_saved_table_is_a_formula() -> None:
+    formula = '=HYPERLINK("http://evil.example")'
+    rows = saved(labelled([group(formula, 90), replace(group("tom", 9), variant="-5")]))
+    assert set(rows["group"].dropna()) == {f"'{formula}", "TOM, -5"}
+    assert rows["line"].str.match(r"[=+\-@]").sum() == 0
+    assert rows["Return"].min() == 0
+
+
+@in_browser
 def test_weights_below_the_axis_are_saved_as_they_are() -> None:
     rows = saved(median_profiles({"tom": np.array([[0.0, 0.002, 3.0]])}, 0, 300))
     assert rows["mean weight"].tolist() == [0, 0.002, 3]
@@ -247,7 +265,7 @@ def test_columns_have_their_names_and_one_scale_in_a_paper_s_figure() -> None:
 @in_browser
 def test_a_weight_s_sum_is_saved() -> None:
     rows = saved(waterfall(Sum(1.0, 0.5, 0.0, 0.7, 0.0, 1.8, 0.9, 2.0), "tom", 300))
-    assert rows["x"].tolist() == ["r", "+ g E Q(s', a')", "- Q(s, a)", "sum", "weight"]
+    assert rows["x"].tolist() == ["r", "'+ g E Q(s', a')", "'- Q(s, a)", "sum", "weight"]
     assert rows["y"].tolist() == pytest.approx([1, 0.5, -0.7, 0.8, 2])
     shown, sizes = message(GROUPS, annotations=[]), rows["y"].tolist()
     of = {"type": "waterfall", "x": [*range(5)], "y": sizes,

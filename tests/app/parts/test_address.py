@@ -83,6 +83,32 @@ address.choose_many("Some", list("abcde"), "some", max_selections=2)
     assert address(app) == {"some": ["e", "d"]}
 
 
+def test_an_untouched_choice_of_many_is_the_usual_one_of_other_data() -> None:
+    script = """
+import streamlit as st
+from app.parts import address
+
+address.enter_page("page")
+usual = st.session_state.get("usual", ["a", "b"])
+address.choose_many("Some", st.session_state.get("there", list("abc")), "some", default=usual)
+"""
+    app = AppTest.from_string(script).run()
+
+    def of(there: str, usual: str) -> list[str]:
+        app.session_state["there"], app.session_state["usual"] = list(there), list(usual)
+        app.run()
+        assert not app.exception
+        return app.multiselect[0].value
+
+    assert of("ad", "a") == ["a"]  # a task of which less was recorded
+    assert of("abc", "ab") == ["a", "b"]
+    assert of("xyz", "xy") == ["x", "y"]
+    assert address(app) == {}
+    app.multiselect[0].set_value(["x"]).run()
+    assert of("xyz", "yz") == ["x"]
+    assert address(app) == {"some": ["x"]}
+
+
 NUMBER = """
 import streamlit as st
 from app.parts import address

@@ -7,6 +7,7 @@ from studio_pages import Show
 from studio_runs import PENDULUM_TOM, info
 
 from app.parts import form, start
+from tom import plugins
 from tom.cli.parser import leaf_fields
 from tom.config import OnlineConfig
 from tom.errors import UserError
@@ -38,7 +39,11 @@ def test_a_training_that_only_explores_is_refused() -> None:
     assert form.train_arguments("road-and-rocks", "tom", "paper", 0, {"steps": "12"}, "runs")
 
 
-def test_the_command_to_go_on_names_the_store(store: Path, show: Show) -> None:
+def test_the_command_to_go_on_names_the_store_and_the_plugins(
+    store: Path, show: Show, monkeypatch: pytest.MonkeyPatch
+) -> None:
     show(Path("my runs"))
-    words = start.resume_command(info(store, PENDULUM_TOM))
-    assert words == f"tom train --resume {PENDULUM_TOM} --store 'my runs'"
+    words = f"tom train --resume {PENDULUM_TOM} --store 'my runs'"
+    assert start.resume_command(info(store, PENDULUM_TOM)) == words
+    monkeypatch.setenv(plugins.VARIABLE, '["mine.py"]')
+    assert start.resume_command(info(store, PENDULUM_TOM)) == f"{words} --plugin mine.py"

@@ -175,6 +175,16 @@ def test_the_list_has_names_colours_states_and_returns(own: Path) -> None:
     assert len({(group["colour"], group["core"]) for group in drawn}) == 3
 
 
+def test_a_group_counts_also_the_runs_that_the_list_does_not_name(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(scope, "LISTED", 1)
+    found = groups(draw("curves", task=PENDULUM, hide=SECOND))
+    counts = {title: (group["count"], group["left"]) for title, group in found.items()}
+    assert counts == {"TOM": (2, 1), "MLE": (1, 1)}
+    assert sum(len(group["runs"]) for group in found.values()) == 1
+
+
 def test_filters_leave_the_runs_of_a_learner_or_a_state(own: Path) -> None:
     trains_elsewhere(own / SECOND)
     assert set(groups(draw("curves", task=PENDULUM, learner="mle"))) == {"MLE"}

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 import pytest
+from common import change
 from hypothesis import given
 from hypothesis import strategies as hypothesis
 from scipy.stats import mannwhitneyu
@@ -77,7 +78,9 @@ def test_a_group_has_the_mean_over_its_seeds(store: Path) -> None:
     assert row["best"] == pytest.approx(np.mean([max(v) for v in values]))
     every = curves(task="every task", panel="eval/return")
     assert len(figures(every)) == 2
-    assert set(every.dataframe[0].value["environment"]) == {PENDULUM}
+    assert (
+        every.dataframe[0].value["environment"].tolist() == [PENDULUM] * 2 + ["road-and-rocks"] * 2
+    )
 
 
 def test_exams_of_seeds_are_put_together_at_the_steps_of_their_fits(store: Path) -> None:
@@ -226,6 +229,9 @@ def test_a_zoom_is_in_the_address_and_its_x_axis_is_that_of_all_panels() -> None
     assert app.query_params["zoom"] == words
     app.selectbox(key="x").select(measure.SHARE).run()
     assert "zoom" not in app.query_params
+    app = curves(zoom=words)
+    app.selectbox(key="task").select("road-and-rocks").run()
+    assert "zoom" not in app.query_params
 
 
 def test_a_zoom_out_of_one_panel_leaves_the_heights_of_the_others(
@@ -360,6 +366,13 @@ def test_a_tick_in_the_table_is_an_eye(monkeypatch: pytest.MonkeyPatch) -> None:
     app = curves("Runs")
     assert app.session_state["hide"] == [SEEDS[1]]
     assert app.query_params["hide"] == SEEDS[1]
+
+
+def test_what_has_its_eye_open_is_ticked_also_where_it_is_left_out(own: Path) -> None:
+    change(own / SEEDS[1] / layout.STATUS, state="stopped", env_step=1)
+    app = curves("Runs", hide=[PENDULUM_MLE])
+    table = app.dataframe[0].value.set_index("run")
+    assert table["shown"].to_dict() == {SEEDS[0]: True, SEEDS[1]: True, PENDULUM_MLE: False}
 
 
 def test_tags_of_several_runs_are_those_they_share_and_others_stay(own: Path) -> None:

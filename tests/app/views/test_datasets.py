@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from studio_pages import Show, draw, figures, in_buffer, on_one_buffer
+from studio_runs import PENDULUM_TOM
 
 from app.data import weighings
 from app.router import VIEWS, View
@@ -68,6 +69,23 @@ def test_each_learners_weights_of_the_data_are_shown(weighed: Path):
     assert "PMAC (3 seeds)" in names
     assert any(code.value.split()[0] == "tom" for code in app.code)
     assert "weigh" not in [button.key for button in app.button]
+
+
+def test_a_run_that_is_chosen_in_the_list_takes_the_place_of_a_data_set(
+    weighed: Path, store: Path, tmp_path: Path, show: Show
+):
+    both = shutil.copytree(weighed, tmp_path / "both")
+    shutil.copytree(store / PENDULUM_TOM, both / PENDULUM_TOM)
+    show(both)
+    data = named(weighed, "other")
+    app = on_one_buffer(data=data)
+    for _ in range(2):
+        assert app.selectbox(key="data").value == app.query_params["data"] == data
+        app.run()
+    app.session_state["run"] = [PENDULUM_TOM]  # as a click on its name does
+    app.run()
+    assert app.selectbox(key="data").value == "the chosen run"
+    assert "data" not in app.query_params
 
 
 def test_the_command_on_the_page_weighs_the_same_rows_again(

@@ -57,6 +57,16 @@ def test_the_pages_of_an_empty_store_say_what_to_run(tmp_path: Path, show: Show)
     assert any("tom train" in command and "'" in command for command in commands)
 
 
+def test_the_last_runs_come_back_from_the_trash(own: Path) -> None:
+    for run in readers.listing(str(own)).runs:
+        manage.trash(Store(own), run.run_id)
+    app = draw("curves", part="Runs")
+    app.multiselect(key="restored").select(TRASHED).run()
+    next(button for button in app.button if button.label == "Bring back").click().run()
+    assert [run.run_id for run in readers.listing(str(own)).runs] == [TRASHED]
+    assert not app.exception
+
+
 @pytest.mark.parametrize("view", PAGES)
 def test_a_page_at_rest_redraws_nothing(view: str, monkeypatch: pytest.MonkeyPatch) -> None:
     intervals = []

@@ -35,9 +35,14 @@ pytestmark = pytest.mark.usefixtures("studio")
 FIT = 300
 
 
+def rows_of_fit(run: RunReader) -> Rows:
+    end = run.profiles().rows_at(FIT)
+    return present(buffer.weighed_rows(run, buffer.fit_weight(run, FIT), end))
+
+
 @pytest.fixture
 def rows(store: Path) -> Rows:
-    return present(buffer.rows(info(store, PENDULUM_TOM), FIT))
+    return rows_of_fit(info(store, PENDULUM_TOM))
 
 
 def test_the_robots_are_those_of_the_timelines_fit(store: Path, tmp_path: Path, show: Show) -> None:
@@ -364,7 +369,7 @@ def test_starts_of_rollouts_are_drawn_as_the_run_draws_them(tmp_path: Path) -> N
         run_ids[learner] = train(config, Store(tmp_path), rerun=False).run_id
     for learner, run_id in run_ids.items():
         run = info(tmp_path, run_id)
-        rows = present(buffer.rows(run, 300))
+        rows = rows_of_fit(run)
         row = int(rows.weight.argmax())
         assert rows.weight[row] > 1.1
         # VaGram's weights scale the loss, so its rollouts start anywhere.

@@ -113,6 +113,26 @@ def test_a_training_that_fails_before_it_has_a_run_says_why() -> None:
     assert "no such thing" in [code.value for code in draw("answer").code]
 
 
+@pytest.mark.parametrize(
+    ("key", "job", "query"),
+    [
+        ("weigh", f"Weighing {PENDULUM_TOM}", {"part": "Every learner on one buffer"}),
+        ("brush it", f"Brush of {PENDULUM_TOM}", {"where": "age 80.."}),
+    ],
+)
+def test_what_goes_on_is_not_started_again(key: str, job: str, query: dict[str, str]) -> None:
+    def is_offered() -> bool:
+        return not draw("attention", run=PENDULUM_TOM, **query).button(key=key).disabled
+
+    assert is_offered()
+    begun = stand_in(["weigh"], "import time; time.sleep(600)")
+    jobs.started_commands()[job] = begun
+    assert not is_offered()
+    begun.process.kill()
+    begun.process.wait(TIMEOUT_S)
+    assert is_offered()
+
+
 # The form
 
 
