@@ -344,3 +344,16 @@ def test_any_policy_is_kept_as_a_network_that_answers_like_it(policy, tmp_path: 
     assert error < 0.1
     distance = loaded(run).rows()["policy_distance"]
     np.testing.assert_allclose(distance, np.abs(action[:, 0]), atol=0.25)
+
+
+def test_a_policy_is_kept_before_the_first_episode_of_several_environments_ends(tmp_path: Path):
+    obs, ends = np.random.default_rng(0).uniform(-1, 1, (50, 2, 3)), np.zeros((50, 2), bool)
+    obs[..., :2] /= np.linalg.norm(obs[..., :2], axis=-1, keepdims=True)
+    with record("mine", env="Pendulum-v1", store=tmp_path, envs=2, strict=True) as run:
+        with pytest.raises(UserError):
+            run.policy(0, in_units)  # no observation to ask it about
+        run.transitions(obs, np.zeros((50, 2, 1)), np.zeros((50, 2)), obs, ends, ends)
+        run.policy(100, in_units)
+    kept, own = read_policy(run.path / "policies/000000100.npz"), obs.reshape(-1, 3)
+    seen = torch.from_numpy((own / [1, 1, 8]).astype(np.float32))
+    assert np.abs(kept.mean(seen).numpy() - in_units(own) / 2).mean() < 0.05
