@@ -110,7 +110,7 @@ class Registry:
     def metric(
         self, path: str, meaning: str, chart: Chart | None = None, advice: str | None = None
     ) -> None:
-        """Register a metric's meaning and its chart on the Live page [default: one line per run].
+        """Register a metric's meaning and its chart on Curves [default: one line per run].
 
         With `advice` (what to try), a value that is not finite ends the training.
         """
