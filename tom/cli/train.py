@@ -118,8 +118,7 @@ def resume_run(args: argparse.Namespace, run_id: str, steps: str | int | None) -
     config, found = resumable_config(run), (run.status.best_return, run.status.last_return)
     if steps is not None:
         config = config.but(steps=steps)
-    last = None if steps is None else config.steps
-    going_on = partial(resume, store, run_id, last, accept_versions=args.accept_versions)
+    going_on = partial(resume, store, run_id, config.steps, accept_versions=args.accept_versions)
     returns = [value for value in found if value is not None]
     return _run_with_progress(args, config, going_on, returns)
 
@@ -133,8 +132,7 @@ def _run_with_progress(
     """Run `train` or `resume`, which a signal stops cleanly; returns the exit code."""
     stream = sys.stderr if args.json else sys.stdout
     label, stop = f"{config.env} {config.learner} seed {config.seed}", Stop()
-    progress = ProgressReport(label, config.total_steps, stream, returns)
-    with on_stopping(stop), progress:
+    with on_stopping(stop), ProgressReport(label, config.total_steps, stream, returns) as progress:
         try:
             done = training(
                 rerun=not args.no_rerun,
