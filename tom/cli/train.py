@@ -8,12 +8,7 @@ from functools import partial
 from typing import Any
 
 from tom.cli.output import ProgressReport, print_result, summary
-from tom.cli.parser import (
-    add_run_options,
-    add_training_options,
-    named,
-    overrides,
-)
+from tom.cli.parser import add_run_options, add_training_options, named, overrides
 from tom.data.card import sentence
 from tom.envs import ANY, ENV_NAMES
 from tom.errors import (

@@ -23,6 +23,7 @@ from tom.frames import Run
 from tom.own_loop.rows import BLOCK
 from tom.own_loop.run import OwnRun, record
 from tom.policy.stored import read_policy
+from tom.record import RunReader
 
 FIELDS = ("obs", "action", "reward", "next_obs", "terminated", "truncated")
 LIMIT = 7
@@ -325,6 +326,20 @@ def in_units(obs: np.ndarray) -> np.ndarray:
 class Module(torch.nn.Module):
     def forward(self, obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         return gaussian(obs)
+
+
+def test_a_record_that_a_full_disk_ends_names_no_command_that_refuses_it(tmp_path, monkeypatch):
+    run = record("mine", env="Pendulum-v1", store=tmp_path)
+    run.transitions([0, 0, 0], [0], 0, [1, 0, 0], False, False)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    run.close()
+    status = RunReader(run.path).status
+    assert status.state == "failed"
+    assert "tom train" not in status.reason
 
 
 @pytest.mark.parametrize("policy", [in_units, Module(), lambda obs: gaussian(torch.tensor(obs))])
