@@ -45,9 +45,7 @@ def run(args: argparse.Namespace) -> int:
                 studios.append(start(command, None, session=False))
             code = _train(args)
             for studio in studios:
-                print(
-                    "The studio's first page, Answer, says where TOM looks and whether that helps;"
-                )
+                print("The first page, Answer, says where TOM looks and whether that helps;")
                 print("Attention shows it. The studio stays up until Ctrl-C.", flush=True)
                 studio.wait()
             return code

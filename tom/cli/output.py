@@ -150,10 +150,13 @@ class Display(ABC):
 class ProgressReport(Display):
     """A bar of `total` steps, with what is done now, its speed and the remaining time."""
 
-    def __init__(self, label: str, total: int, stream: TextIO) -> None:
+    def __init__(
+        self, label: str, total: int, stream: TextIO, returns: Iterable[float] = ()
+    ) -> None:
+        """`returns` of the run before it was resumed, the best and the last."""
         super().__init__(stream)
         self.label, self.total = label, total
-        self._returns = list[float]()
+        self._returns = list(returns)
         self._bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(),

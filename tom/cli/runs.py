@@ -160,9 +160,12 @@ def diff(args: argparse.Namespace) -> int:
     for run in (Store(args.store).run(run_id) for run_id in (args.first, args.second)):
         if not run.given:
             raise UserError(f"run '{run.run_id}' has no settings to compare")
-        parts = ("config", "versions", "git_commit", "machine")
+        own = {name: run.config.get(name) for name in ("config", "machine")}
+        own["matmul"] = (run.config.get("matmul") or {}).get("chosen")
+        made = [run.config, *run.config.get("resumes", ())]  # a resume may have other versions
+        used = [flat({name: one.get(name) for name in ("versions", "git_commit")}) for one in made]
+        own |= {n: ", ".join(dict.fromkeys(u[n] for u in used if u.get(n))) for n in used[0]}
         results = ("state", "env_step", "last_return", "best_return")
-        own = {name: run.config.get(name) for name in parts}
         both.append(flat(own) | {name: getattr(run.status, name) for name in results})
     first, second = both
     names = [n for n in dict.fromkeys([*first, *second]) if first.get(n) != second.get(n)]

@@ -2,18 +2,13 @@
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import partial
 from typing import Any
 
 from tom.cli.output import ProgressReport, print_result, summary
-from tom.cli.parser import (
-    add_run_options,
-    add_training_options,
-    named,
-    overrides,
-)
+from tom.cli.parser import add_run_options, add_training_options, named, overrides
 from tom.data.card import sentence
 from tom.envs import ANY, ENV_NAMES
 from tom.errors import (
@@ -114,21 +109,25 @@ def record(config: AnyConfig, args: argparse.Namespace) -> int:
 def resume_run(args: argparse.Namespace, run_id: str, steps: str | int | None) -> int:
     """Go on with a run, to its own last step or to `steps`; returns the exit code."""
     store = Store(args.store)
-    config = resumable_config(store.run(run_id))
+    run = store.run(run_id)
+    config, found = resumable_config(run), (run.status.best_return, run.status.last_return)
     if steps is not None:
         config = config.but(steps=steps)
-    last = None if steps is None else config.steps
-    going_on = partial(resume, store, run_id, last, accept_versions=args.accept_versions)
-    return _run_with_progress(args, config, going_on)
+    going_on = partial(resume, store, run_id, config.steps, accept_versions=args.accept_versions)
+    returns = [value for value in found if value is not None]
+    return _run_with_progress(args, config, going_on, returns)
 
 
 def _run_with_progress(
-    args: argparse.Namespace, config: AnyConfig, training: Callable[..., RunReader]
+    args: argparse.Namespace,
+    config: AnyConfig,
+    training: Callable[..., RunReader],
+    returns: Sequence[float] = (),
 ) -> int:
     """Run `train` or `resume`, which a signal stops cleanly; returns the exit code."""
     stream = sys.stderr if args.json else sys.stdout
     label, stop = f"{config.env} {config.learner} seed {config.seed}", Stop()
-    with on_stopping(stop), ProgressReport(label, config.total_steps, stream) as progress:
+    with on_stopping(stop), ProgressReport(label, config.total_steps, stream, returns) as progress:
         try:
             done = training(
                 rerun=not args.no_rerun,

@@ -55,9 +55,9 @@ def import_metrics(
         raise UserError(f"{path} holds no scalars: give TensorBoard's events or W&B's CSV")
     if returned and returned not in metrics:
         raise UserError(f"{path} has no metric '{returned}': it has {', '.join(metrics)}")
-    named = {}
+    named, own = {}, path.name if path.is_dir() else path.stem
     for training, table in found.items():
-        words = "-".join(filter(None, (name, training or ("" if name else path.stem))))
+        words = "-".join(filter(None, (name, training or ("" if name else own))))
         run_id = re.sub(r"[^A-Za-z0-9._-]", "-", words)[:95]
         named[f"{run_id}-{len(named) + 1}" if run_id in named else run_id] = table
     place, known = Store(Path(store)), resolve_task(env)

@@ -55,7 +55,7 @@ class PolicyCopier:
         dims = actor[0][0].shape[0], actor[-1][0].shape[1] // 2
         if dims != (self._task.obs_dim, self._task.action_dim):
             raise UserError(
-                f"policy: its network maps {dims[0]} numbers to {dims[1]} actions, and "
+                f"its network maps {dims[0]} numbers to {dims[1]} actions, and "
                 f"{self._task.name} has {self._task.obs_dim} and {self._task.action_dim}"
             )
         scale, offset = self._scale / spread, (self._offset - centre) / spread
@@ -68,9 +68,7 @@ class PolicyCopier:
     def _fit_copy(self, policy: Any, obs: NDArray) -> Copy:
         """A network that has learnt the policy's mean and spread before the tanh."""
         if not len(obs):
-            raise UserError(
-                "policy: hand in some transitions first, whose observations it is asked about"
-            )
+            raise UserError("hand in some transitions first, whose observations it is asked about")
         foreign = ForeignPolicy("of run.policy", _as_function(policy), self._task)
         seen = torch.from_numpy(obs[:: max(len(obs) // MAX_OBSERVATIONS, 1)]).float()
         generator = torch.Generator().manual_seed(0)
@@ -115,7 +113,7 @@ def _as_function(policy: Any) -> Callable[[Tensor], Any]:
         return lambda obs: policy(obs.to(parameter))
     predict = getattr(policy, "predict", None)
     if not callable(policy) and predict is None:
-        raise UserError("policy: give a function of observations, a torch module or SB3's model")
+        raise UserError("give a function of observations, a torch module or SB3's model")
     function = policy
     if predict is not None:
         normalised = getattr(policy, "get_vec_normalize_env", lambda: None)()

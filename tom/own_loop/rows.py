@@ -122,6 +122,11 @@ class Rows:
         self._returns, self._lengths = [0.0] * self.envs, [0] * self.envs
         return running
 
+    def unfinished_obs(self) -> NDArray[np.float32]:
+        """The observations (n, O), as agents see them, of rows whose episodes are not over."""
+        waiting = [columns[0] for parts in self._waiting for columns, _ in parts]
+        return np.concatenate([np.zeros((0, *self._shapes["obs"]), np.float32), *waiting])
+
     def in_record(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
         """The weights of the newest rows of the record, up to the oldest that has one.
 

@@ -226,8 +226,7 @@ class OwnRun:
         """
         at = self._checked_step(step)
         self._flush()
-        rows = self._newest
-        obs = np.zeros((0, self._known.obs_dim)) if rows is None else np.asarray(rows.obs)
+        obs = self._rows.unfinished_obs() if self._newest is None else np.asarray(self._newest.obs)
         arrays, error = self._copier.copy(policy, obs)
         self._policy = at, arrays
         self._recorder.consume(KeptPolicy(at, arrays))

@@ -25,17 +25,7 @@ if TYPE_CHECKING:
     from tom.config import RunConfig
     from tom.plugins.registry import Registry
 
-__all__ = [
-    "CHARTS",
-    "OPTION",
-    "PAGES",
-    "Registry",
-    "given",
-    "load",
-    "needed",
-    "require",
-    "wanted_here",
-]
+__all__ = ["CHARTS", "PAGES", "Registry"]
 
 GROUP = "tom_studio"
 VARIABLE = "TOM_STUDIO_PLUGINS"

@@ -66,8 +66,13 @@ class Registry:
             raise self._error(f"'{group}' is the name of our own settings")
         if colour is not None and not COLOUR.fullmatch(colour):
             raise self._error(f"colour '{colour}' is not written #rrggbb")
-        if settings is not None:
-            self._check_settings(name, settings)
+        try:  # other runs' options list them too
+            _ = settings and settings()
+        except ValidationError as error:
+            wrong = ".".join(str(part) for part in error.errors()[0]["loc"])
+            raise self._error(
+                f"the setting '{wrong}' of the learner '{name}' needs a default that it accepts"
+            ) from error
 
         def build(config: RunConfig, obs_dim: int, action_dim: int, generator: torch.Generator):
             return OwnLearner(name, lambda: make(config, obs_dim, action_dim, generator))
@@ -110,7 +115,7 @@ class Registry:
     def metric(
         self, path: str, meaning: str, chart: Chart | None = None, advice: str | None = None
     ) -> None:
-        """Register a metric's meaning and its chart on the Live page [default: one line per run].
+        """Register a metric's meaning and its chart on Curves [default: one line per run].
 
         With `advice` (what to try), a value that is not finite ends the training.
         """
@@ -132,16 +137,6 @@ class Registry:
 
     def _error(self, text: str) -> UserError:
         return UserError(f"plug-in {self.plugin}: {text}")
-
-    def _check_settings(self, name: str, settings: type[Config]) -> None:
-        """Raises UserError unless the settings have defaults: other runs' options list them too."""
-        try:
-            settings()
-        except ValidationError as error:
-            wrong = ".".join(str(part) for part in error.errors()[0]["loc"])
-            raise self._error(
-                f"the setting '{wrong}' of the learner '{name}' needs a default that it accepts"
-            ) from error
 
     def _own(self, kind: str, name: str, taken: Sequence[str] | Mapping[str, Any]) -> None:
         if not NAME.fullmatch(name):

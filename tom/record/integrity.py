@@ -68,16 +68,16 @@ def verify(reader: RunReader) -> list[str]:
     if not all(map(checkpoint.is_whole, checkpoint.folders(run.path / layout.MODEL))):
         problems.append(f"{layout.MODEL} is damaged: ghosts and model errors are missing")
     for learner, live in run.live().items():
-        problems += [f"{layout.LIVE}/{learner}/{problem}" for problem in verify(live)]
+        problems += [f"{layout.LIVE}/{learner}: {problem}" for problem in verify(live)]
     return problems
 
 
 def repair(reader: RunReader) -> list[str]:
     """Take what is damaged out of the way of a run; returns what was done, one line each.
 
-    Damaged lines become blank, damaged arrays are set aside, and a dead run becomes `stopped`.
-    Raises UserError while the run is being written, and OSError; what is repaired by then stays
-    repaired.
+    Damaged lines become blank, damaged arrays are set aside, and a dead run becomes `stopped`, also
+    in its live weights. Raises UserError while the run is being written, and OSError; what is
+    repaired by then stays repaired.
     """
     run, done = reader.path, dict[str, str]()
     with closing(lock.acquire(run)):
@@ -105,7 +105,9 @@ def repair(reader: RunReader) -> list[str]:
             write_digests(run)
             for name in damaged:
                 done.setdefault(name, "its digest is computed again")
-    return [f"{name}: {what}" for name, what in done.items()]
+    lives = reader.live().items()
+    of_lives = [f"{layout.LIVE}/{name}: {line}" for name, live in lives for line in repair(live)]
+    return [*(f"{name}: {what}" for name, what in done.items()), *of_lives]
 
 
 def _with_digest(path: Path) -> list[str]:

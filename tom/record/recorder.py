@@ -13,6 +13,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
+from tom.config import OwnLoopConfig
 from tom.errors import DISK_FULL, DivergedError, OwnCodeError
 from tom.events import (
     Collected,
@@ -246,7 +247,9 @@ class Recorder:
         if isinstance(error, OwnCodeError):
             why = str(error)
         elif isinstance(error, OSError) and error.errno in DISK_FULL:
-            why = f"{error}: free some space, then tom train --resume {self.run_id}"
+            own = isinstance(self._config, OwnLoopConfig)
+            again = 'start it with resume="auto"' if own else f"tom train --resume {self.run_id}"
+            why = f"{error}: free some space, then {again}"
         elif is_out_of_memory(error):
             why = out_of_memory(error)
         return f"step {self.status.env_step}: {why}"

@@ -3,11 +3,12 @@
 import io
 import re
 
+import numpy as np
 import pytest
 
 from tom.cli import output
 from tom.cli.output import ProgressReport, show
-from tom.events import Tick
+from tom.events import Episode, Evaluation, Tick
 
 
 def test_in_a_pipe_a_row_is_one_line(capsys: pytest.CaptureFixture[str]):
@@ -32,6 +33,17 @@ def test_a_resumed_run_counts_only_its_own_steps(monkeypatch: pytest.MonkeyPatch
     assert len(found) > 2
     assert {int(rate) for _, rate, _ in found} == {1}
     assert all(eta.startswith("9 h 4") for _, _, eta in found)
+
+
+def test_a_resumed_run_goes_on_from_its_returns():
+    shown = io.StringIO()
+    with ProgressReport("hopper", 1, shown, returns=[13.0, 9.5]) as report:
+        report.consume(Tick(1, "optimise"))
+        report.consume(Evaluation(1, [Episode(np.ones(3), np.ones((3, 1)), np.ones((4, 1)))]))
+        report.consume(Tick(1, "optimise"))
+    first, second = shown.getvalue().splitlines()
+    assert re.findall(r"[\d.]+$|return [\d.]+", first) == ["return 9.5", "13.0"]
+    assert re.findall(r"[\d.]+$|return [\d.]+", second) == ["return 3.0", "13.0"]
 
 
 def test_the_first_step_says_no_rate():

@@ -1,6 +1,7 @@
 """`tom runs` on small runs that were trained for real."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pandas as pd
@@ -62,6 +63,25 @@ def test_diff(store: Path, capsys):
     assert found["config.learner"] == ["mle", "tom"]
     assert "config.seed" not in found
     assert "config.learner" in told(capsys, store, "diff", "one", "two")
+    assert "matmul" not in found
+
+
+def test_diff_tells_what_made_other_numbers_of_the_same_settings(store: Path, capsys):
+    """The matrix product that the probe chose, and a resume with other versions."""
+    path = store / "one/config.json"
+    made = json.loads(path.read_text())
+    now = made["versions"]["torch"]
+    other = made | {
+        "matmul": made["matmul"] | {"chosen": "another"},
+        "resumes": [{"versions": made["versions"] | {"torch": "9.9.9"}, "git_commit": "other"}],
+    }
+    shutil.copytree(store / "one", store / "again")
+    (store / "again/config.json").write_text(json.dumps(other))
+    found = ask(capsys, store, "diff", "one", "again")
+    shutil.rmtree(store / "again")
+    assert found["matmul"] == [made["matmul"]["chosen"], "another"]
+    assert found["versions.torch"] == [now, f"{now}, 9.9.9"]
+    assert {*found} == {"matmul", "versions.torch", "git_commit"}
 
 
 def test_trash_and_restore_move_all_or_nothing(store: Path, capsys):

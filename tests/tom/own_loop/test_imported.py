@@ -30,6 +30,15 @@ def test_event_files_of_tensorboard_are_a_run(tmp_path: Path):
     assert len(loaded(tmp_path / "runs", "killed").metrics) == 10
 
 
+def test_folders_of_two_settings_are_two_runs(tmp_path: Path):
+    for name in ("lr-0.1", "lr-0.2"):
+        with SummaryWriter(str(tmp_path / name)) as writer:
+            writer.add_scalar("train/return", 1.0, 10)
+        words = ["runs", "import", str(tmp_path / name), "--env", "Hopper-v5", "--store"]
+        assert code_of([*words, str(tmp_path / "runs")]) == 0
+        assert loaded(tmp_path / "runs", name).summary["env_step"] == 10
+
+
 def test_a_csv_of_wandb_is_a_run_for_each_of_its_runs(tmp_path: Path):
     steps, table = [100, 200, 300], tmp_path / "wandb_export.csv"
     columns = {"Step": steps, "sac 1 - eval/score": [1, np.nan, 3], "sac 2 - eval/score": [4, 5, 6]}

@@ -23,6 +23,7 @@ from tom.frames import Run
 from tom.own_loop.rows import BLOCK
 from tom.own_loop.run import OwnRun, record
 from tom.policy.stored import read_policy
+from tom.record import RunReader
 
 FIELDS = ("obs", "action", "reward", "next_obs", "terminated", "truncated")
 LIMIT = 7
@@ -327,6 +328,20 @@ class Module(torch.nn.Module):
         return gaussian(obs)
 
 
+def test_a_record_that_a_full_disk_ends_names_no_command_that_refuses_it(tmp_path, monkeypatch):
+    run = record("mine", env="Pendulum-v1", store=tmp_path)
+    run.transitions([0, 0, 0], [0], 0, [1, 0, 0], False, False)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    run.close()
+    status = RunReader(run.path).status
+    assert status.state == "failed"
+    assert "tom train" not in status.reason
+
+
 @pytest.mark.parametrize("policy", [in_units, Module(), lambda obs: gaussian(torch.tensor(obs))])
 def test_any_policy_is_kept_as_a_network_that_answers_like_it(policy, tmp_path: Path):
     rng = np.random.default_rng(0)
@@ -344,3 +359,16 @@ def test_any_policy_is_kept_as_a_network_that_answers_like_it(policy, tmp_path: 
     assert error < 0.1
     distance = loaded(run).rows()["policy_distance"]
     np.testing.assert_allclose(distance, np.abs(action[:, 0]), atol=0.25)
+
+
+def test_a_policy_is_kept_before_the_first_episode_of_several_environments_ends(tmp_path: Path):
+    obs, ends = np.random.default_rng(0).uniform(-1, 1, (50, 2, 3)), np.zeros((50, 2), bool)
+    obs[..., :2] /= np.linalg.norm(obs[..., :2], axis=-1, keepdims=True)
+    with record("mine", env="Pendulum-v1", store=tmp_path, envs=2, strict=True) as run:
+        with pytest.raises(UserError):
+            run.policy(0, in_units)  # no observation to ask it about
+        run.transitions(obs, np.zeros((50, 2, 1)), np.zeros((50, 2)), obs, ends, ends)
+        run.policy(100, in_units)
+    kept, own = read_policy(run.path / "policies/000000100.npz"), obs.reshape(-1, 3)
+    seen = torch.from_numpy((own / [1, 1, 8]).astype(np.float32))
+    assert np.abs(kept.mean(seen).numpy() - in_units(own) / 2).mean() < 0.05

@@ -67,6 +67,20 @@ def test_a_run_that_died_becomes_stopped(record):
     assert verify(now) == []
 
 
+def test_live_weights_are_repaired_with_their_run(record):
+    run, live = record(), record("live")
+    (run.path / "live").mkdir()
+    live = RunReader(live.path.rename(run.path / "live/tom"))
+    beat = live.status.heartbeat - 3600
+    change(live.path / "status.json", state="running", heartbeat=beat)
+    with (live.path / "notices.jsonl").open("ab") as file:
+        file.write(b"{torn\n")
+    assert len(verify(run)) == 2
+    repair(run)
+    assert RunReader(live.path).status.state == "stopped"
+    assert verify(run) == []
+
+
 def test_a_run_that_is_written_is_not_touched(store: Store):
     with Recorder(RunWriter.create(store, "run", Config)):
         assert verify(store.run("run")) == []
