@@ -66,8 +66,9 @@ class Registry:
             raise self._error(f"'{group}' is the name of our own settings")
         if colour is not None and not COLOUR.fullmatch(colour):
             raise self._error(f"colour '{colour}' is not written #rrggbb")
-        try:  # other runs' options list them too
-            _ = settings and settings()
+        try:
+            if settings is not None:  # other runs' options list them too
+                settings()
         except ValidationError as error:
             wrong = ".".join(str(part) for part in error.errors()[0]["loc"])
             raise self._error(
