@@ -52,7 +52,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "policy of interest. Writes weights.parquet, profile.csv, profile.png, profile.svg and "
         "report.json.",
     )
-    parser.add_argument("data", help=f"a run (id or folder), {FORMATS}")
+    parser.add_argument("data", help=f"a run or weighing (id or folder), {FORMATS}")
     parser.add_argument("--policy", required=True, help=POLICIES)
     parser.add_argument(
         "--learner", nargs="+", default=list(WEIGHED_FIRST), metavar="LEARNER",
@@ -102,6 +102,9 @@ def run(args: argparse.Namespace) -> int:
     weighing_files.check_free(args.out or store.new_weighing(name))
     torch.set_num_threads(plan.config.threads)
     choose_matmul(plan.config.matmul)
+    told = [text for _, text in plan.data.card.notices()]
+    for notice in told:  # before work that may be in vain
+        print(notice, file=sys.stderr)
     started, weighed = perf_counter(), list[Weighed]()
     with ProgressReport(f"the policy in {plan.known.name}", plan.steps, sys.stderr) as bar:
         for one in plan.carry_out(bar.step):
@@ -112,7 +115,8 @@ def run(args: argparse.Namespace) -> int:
     out = args.out or store.new_weighing(name)
     weighing_files.write(out, plan.data, weighed, args.bins, report)
     for notice in weighing_files.notices(report):
-        print(notice, file=sys.stderr)
+        if notice not in told:
+            print(notice, file=sys.stderr)
     return print_result(args, {**report, "out": str(out)}, lambda: _print(report, out))
 
 

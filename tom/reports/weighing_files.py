@@ -36,7 +36,7 @@ from tom.record.thin import write_columns
 from tom.record.versions import made_by
 from tom.reports.report import in_short, write_csv
 
-WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
+WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", layout.REPORT, "profile"
 SAME = 1e-6
 """weights of mean 1 that differ by no more are the same"""
 GHOSTS = "ghosts.npz"
