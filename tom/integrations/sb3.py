@@ -58,7 +58,10 @@ def export_buffer(model: Any, path: str | Path) -> None:
 
 
 def _rows_of(model: Any, buffer: Any, env: int) -> Columns:
-    """The rows of one environment, oldest first; the last one ends its episode."""
+    """The rows of one environment, oldest first; the last one ends its episode.
+
+    Rows of the same step have the same policy, whichever environment they are of.
+    """
     start = buffer.pos if buffer.full else 0
     order = (np.arange(buffer.size()) + start) % buffer.buffer_size
     done = buffer.dones[order, env] == 1
@@ -71,6 +74,7 @@ def _rows_of(model: Any, buffer: Any, env: int) -> Columns:
         "next_obs": buffer.next_observations[order, env],
         "terminated": done & ~cut,
         "truncated": cut,
+        "policy_version": np.arange(1, len(order) + 1),
     }
 
 

@@ -291,6 +291,9 @@ def test_a_buffer_is_what_was_done_in_each_environment(env: str, tmp_path: Path)
         same(recording.rows[number * 110 : (number + 1) * 110], own)
     assert np.abs(recording.rows.action).max() > 1  # in the task's own units
     assert recording.card.notices() == ()
+    # Rows of one step have one policy, whichever environment they are of.
+    assert recording.policy_version is not None
+    assert recording.policy_version.tolist() == [*range(1, 111)] * 3
 
 
 def test_a_full_buffer_begins_with_its_oldest_row(tmp_path: Path):
