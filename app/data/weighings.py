@@ -65,11 +65,13 @@ class Dataset(RunReader):
             list(dict.fromkeys(str(result[name]) for result in results))
             for name in ("learner", "seed")
         )
-        code = ["--env", self.env] if is_code(self.env) else []
+        more = ["--env", self.env] if is_code(self.env) else []
+        for path, value in self.report.get("changed", {}).items():
+            more += [f"--{path.replace('_', '-')}", value]
         return [
-            "weigh", str(self.path), "--policy", policy, *code, "--learner", *learners,
+            "weigh", str(self.path), "--policy", policy, *more, "--learner", *learners,
             "--seeds", *seeds, "--preset", str(self.report.get("preset", "exact")),
-            "--store", store,
+            "--footprint", str(self.report.get("footprint", 1000)), "--store", store,
         ]  # fmt: skip
 
 

@@ -35,6 +35,7 @@ def weighed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         columns["action"] = 3 * columns["action"]  # in the task's own units
         np.savez(folder / f"{name}.npz", allow_pickle=False, **columns)
     words = ["--policy", "random", "--env", ENV, "--footprint", "50", "--learner", "pmac", "mle"]
+    words += ["--pmac.decay", "0.99"]
     for name, out in (("other", "third"), ("my buffer", "first"), ("my buffer", "second")):
         made = ["--out", str(folder / "store/weighings" / out), "--store", str(folder / "store")]
         assert main(["weigh", str(folder / f"{name}.npz"), *words, *made]) == 0
@@ -76,11 +77,11 @@ def test_the_command_on_the_page_weighs_the_same_rows_again(
     app = on_one_buffer(run=named(weighed, "my buffer"))
     words = shlex.split(next(code.value for code in app.code if "/weighings/" in code.value))
     monkeypatch.chdir(tmp_path)  # where no file of the user's lies
-    assert main([*words[1:], "--footprint", "50", "--out", "again"]) == 0
+    assert main([*words[1:], "--out", "again"]) == 0
     found = weighings.of_run(weighings.datasets(str(weighed))[0])
     (before,) = (one.path for one in found if one.name == "first")
     old, new = read_json(before / "report.json"), read_json(tmp_path / "again" / "report.json")
-    same = ("data", "rows_digest", "env", "policy", "preset", "rows")
+    same = ("data", "rows_digest", "env", "policy", "preset", "rows", "footprint", "changed")
     assert [new[name] for name in same] == [old[name] for name in same]
     assert new["medians"] == old["medians"]
 
