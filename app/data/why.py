@@ -26,6 +26,7 @@ from tom.learners.terms import Terms, of_recorded
 from tom.policy.foreign import ONNX, is_foreign
 from tom.record.reader import RunReader
 from tom.record.store import Store
+from tom.reports.weighing_files import is_brush
 from tom.training.resume import recorded_config
 
 NEAREST = 5
@@ -55,7 +56,7 @@ class Why:
 def why_of(run: RunReader, source: Source) -> Why | str:
     """The terms of these weights, or a text with the reason why there are none."""
     weighing, learner = source.weighing, source.learner
-    if weighing is not None and weighing.is_brush:
+    if weighing is not None and is_brush(weighing.report):
         return "no learner made these weights: a brush changed them"
     if learner not in WITH_TERMS:
         whose = " and ".join(f"{LEARNERS[name].label}'s" for name in WITH_TERMS)
@@ -104,10 +105,7 @@ def _fit_context(
 def _weighing_context(
     run: RunReader, source: Source, weighing: Weighing
 ) -> tuple[TomConfig, str, TensorTransitions, Tensor]:
-    """What belongs to the terms of a weighing, for which the policy's rows are made anew.
-
-    None of a policy that may be code: reports are not trusted, and pages run none of the user's.
-    """
+    """What belongs to the terms of a weighing; the policy's rows are made anew, but not by code."""
     tom, name = (
         TomConfig.model_validate(weighing.report["config"]["tom"]),
         weighing.report["policy"],
