@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tom.analysis.imagine import step_errors, stored_model
+from tom.analysis.imagine import stored_model
 from tom.analysis.ordered_data import OrderedData, find_run, to_env_units
 from tom.analysis.planes import row_table, transition_table
 from tom.analysis.weighing import Weighed, plan_weighing
@@ -20,6 +20,7 @@ from tom.data.transitions import Transitions
 from tom.data.unpack import DAMAGE
 from tom.envs import ROAD, import_task
 from tom.errors import UserError, check_known, reason
+from tom.exams.diagnostics import errors_of_rows
 from tom.learners import WEIGHED_FIRST
 from tom.policy.stored import distances, read_policy
 from tom.record import RunReader, Store, layout
@@ -318,7 +319,7 @@ def read_weighing(path: Path) -> Weighing:
 def _errors(run: RunReader, rows: Transitions) -> dict[str, NDArray]:
     """The one-step errors (N,) of the run's last model, if it kept one."""
     try:
-        return {"error": step_errors(stored_model(run).predictor, rows)}
+        return {"error": errors_of_rows(stored_model(run).predictor, rows.torch()).numpy()}
     except UserError:
         return {}
 

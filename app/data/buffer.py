@@ -210,12 +210,12 @@ def stored_model(run: RunReader) -> "StoredModel | str":
 
 def model_errors_of(run: RunReader, index: NDArray[np.int64]) -> Floats:
     """The stored model's error on recorded rows, (N,) of the record: NaN for all others."""
-    from tom.analysis.imagine import step_errors
+    from tom.exams.diagnostics import errors_of_rows
 
     whole, kept = recorded(run).rows, stored_model(run)
     errors = np.full(len(whole), np.nan)
     if not isinstance(kept, str):  # the page says what is damaged
-        errors[index] = step_errors(kept.predictor, whole[index])
+        errors[index] = errors_of_rows(kept.predictor, whole[index].torch())
     return errors
 
 
@@ -238,10 +238,10 @@ def errors_on(run: RunReader, other: RunReader) -> Floats | None:
 
     None if either cannot be read.
     """
-    from tom.analysis.imagine import step_errors
+    from tom.exams.diagnostics import errors_of_rows
 
     whole, kept = recorded(run).rows, stored_model(other)
     if isinstance(kept, str) or not len(whole):
         return None
     part = whole[spread(len(whole), SHARED_ROWS)]
-    return step_errors(kept.predictor, part).astype(np.float64)
+    return errors_of_rows(kept.predictor, part.torch()).numpy().astype(np.float64)

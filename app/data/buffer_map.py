@@ -28,7 +28,7 @@ from tom.machine.memory import STUDIO_CACHE_BYTES
 from tom.policy.stored import StoredPolicy
 from tom.policy.stored import distances as policy_distances
 from tom.record.reader import RunReader
-from tom.reports.weighing_files import called
+from tom.reports.weighing_files import called, is_brush
 from tom.spread import spread
 
 CONTRAST, PRINCIPAL, POLICY, MODEL, TWO = "contrast", "principal", "policy", "model", "two"
@@ -97,7 +97,7 @@ def weighing_sources(run: RunReader) -> dict[str, Source]:
         )
         for weighing in (*made[:WEIGHINGS], *brushes[:WEIGHINGS])
         for (learner, seed), weight in weighing.weights().items()
-        if not (weighing.is_brush and learner == called(UNCHANGED))
+        if not (is_brush(weighing.report) and learner == called(UNCHANGED))
         and len(weight) <= weighing.end <= length
         for label in [f"{learner_label(learner)} s{seed}, {weighing.name}"]
     }

@@ -14,7 +14,6 @@ from app.data import buffer, readers
 from app.data.cache import get_or_make
 from tom.analysis.exams import at_fit
 from tom.analysis.progression import medians, progression
-from tom.data.card import sentence
 from tom.data.sampling import bin_means
 from tom.data.unpack import DAMAGE, read_arrays
 from tom.envs import is_code
@@ -35,8 +34,6 @@ from tom.reports.weighing_files import (
 )
 
 BINS = 100
-DATASET = "data"
-"""stands for the learner of a data set: nothing was trained"""
 
 
 class Dataset(RunReader):
@@ -45,7 +42,7 @@ class Dataset(RunReader):
     def __init__(self, path: Path, report: Mapping[str, Any]) -> None:
         super().__init__(path)
         self.report = report
-        self.config = self.config | {"learner": DATASET, "preset": ""}
+        self.config = self.config | {"learner": "data", "preset": ""}  # nothing was trained
         self.labels = Labels(name=self.run_id)  # it has no learner and no seed to distinguish it
         self.status = Status()
 
@@ -65,11 +62,13 @@ class Dataset(RunReader):
             list(dict.fromkeys(str(result[name]) for result in results))
             for name in ("learner", "seed")
         )
-        code = ["--env", self.env] if is_code(self.env) else []
+        more = ["--env", self.env] if is_code(self.env) else []
+        for path, value in self.report.get("changed", {}).items():
+            more += [f"--{path.replace('_', '-')}", value]
         return [
-            "weigh", str(self.path), "--policy", policy, *code, "--learner", *learners,
+            "weigh", str(self.path), "--policy", policy, *more, "--learner", *learners,
             "--seeds", *seeds, "--preset", str(self.report.get("preset", "exact")),
-            "--store", store,
+            "--footprint", str(self.report.get("footprint", 1000)), "--store", store,
         ]  # fmt: skip
 
 
@@ -119,16 +118,6 @@ class Weighing:
     def written(self) -> int:
         """The report's modification time in ns."""
         return modified(self.path / REPORT)
-
-    @property
-    def is_brush(self) -> bool:
-        """Whether it is `tom brush`'s: no learner's own weights."""
-        return weighing_files.is_brush(self.report)
-
-    @property
-    def card(self) -> str:
-        """The facts of the data in one line; empty in older reports."""
-        return sentence(self.report.get("card", {}))
 
     @property
     def end(self) -> int:

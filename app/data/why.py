@@ -23,8 +23,10 @@ from tom.envs import ENVS, task
 from tom.errors import UserError
 from tom.learners import LEARNERS, WITH_TERMS
 from tom.learners.terms import Terms, of_recorded
+from tom.policy.foreign import ONNX, is_foreign
 from tom.record.reader import RunReader
 from tom.record.store import Store
+from tom.reports.weighing_files import is_brush
 from tom.training.resume import recorded_config
 
 NEAREST = 5
@@ -42,7 +44,7 @@ class Why:
     terms: Terms
     config: TomConfig
     origin: str
-    policy_rows: TensorTransitions  # (M,) the discriminator's rows of the policy
+    policy_rows: TensorTransitions  # (M,) the discriminator's rows of the policy; (0,) if not known
     buffer_rows: Tensor  # (M,) the rows of the buffer that these are; (0,) if they were made anew
 
     def sum_of(self, row: int) -> Sum:
@@ -54,7 +56,7 @@ class Why:
 def why_of(run: RunReader, source: Source) -> Why | str:
     """The terms of these weights, or a text with the reason why there are none."""
     weighing, learner = source.weighing, source.learner
-    if weighing is not None and weighing.is_brush:
+    if weighing is not None and is_brush(weighing.report):
         return "no learner made these weights: a brush changed them"
     if learner not in WITH_TERMS:
         whose = " and ".join(f"{LEARNERS[name].label}'s" for name in WITH_TERMS)
@@ -103,11 +105,18 @@ def _fit_context(
 def _weighing_context(
     run: RunReader, source: Source, weighing: Weighing
 ) -> tuple[TomConfig, str, TensorTransitions, Tensor]:
-    """What belongs to the terms of a weighing, for which the policy's rows were made anew."""
-    tom, known = TomConfig.model_validate(weighing.report["config"]["tom"]), task(run.env)
-    policy = load_policy(weighing.report["policy"], Store(run.home.parent), known, weighing.step)
-    seed, count = int(source.column.rpartition("-s")[2]), int(weighing.report["footprint"])
-    anew = collect_footprint(known, policy, count, seed).transitions.torch()
+    """What belongs to the terms of a weighing; the policy's rows are made anew, but not by code."""
+    tom, name = (
+        TomConfig.model_validate(weighing.report["config"]["tom"]),
+        weighing.report["policy"],
+    )
+    if is_foreign(name) and not name.endswith(ONNX):
+        anew = buffer.recorded(run).rows[:0].torch()
+    else:
+        known, store = task(run.env), Store(weighing.path.parents[1])
+        policy = load_policy(name, store, known, weighing.step)
+        seed, count = int(source.column.rpartition("-s")[2]), int(weighing.report["footprint"])
+        anew = collect_footprint(known, policy, count, seed).transitions.torch()
     return tom, f"the weighing {weighing.name}", anew, torch.arange(0)
 
 

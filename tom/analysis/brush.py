@@ -100,7 +100,6 @@ def fit_brushed(
             own, degenerate = normalise(of_all[kept])
             if degenerate:
                 raise UserError("the episodes left for the fit have no weight: draw another region")
-            # Clipped for the fit, as TOM's are in a training.
             model = fit_model(rows[kept], Weighting(own, clipped=True), config, seed)
             errors = {
                 name: one_step_error(model, some, scale) if len(some) else nan

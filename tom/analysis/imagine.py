@@ -7,13 +7,11 @@ import torch
 from numpy.typing import NDArray
 
 from tom.config import ModelConfig
-from tom.data.transitions import Transitions
 from tom.dynamics import make_model
 from tom.dynamics.base import Predictor
 from tom.envs import ROAD, Task
 from tom.errors import UserError, reason
 from tom.events import Episode
-from tom.exams.diagnostics import errors_of_rows
 from tom.record import RunReader, checkpoint
 from tom.record.task_record import task_of
 from tom.road.agent import RoadModel
@@ -92,11 +90,6 @@ def imagine(model: Predictor, episode: Episode, horizon: int) -> Imagined:
         now = torch.where(following.isfinite(), following, now)
         obs[at + 1], reward[at] = now, predicted_reward.nan_to_num()
     return Imagined(obs.numpy(), reward.numpy())
-
-
-def step_errors(model: Predictor, transitions: Transitions) -> Floats:
-    """`errors_of_rows` of recorded transitions, (N,)."""
-    return errors_of_rows(model, transitions.torch()).numpy()
 
 
 def joint_positions(task: Task, episode: Episode, obs: NDArray, dt: float, horizon: int) -> Floats:

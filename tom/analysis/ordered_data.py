@@ -51,20 +51,22 @@ class OrderedData:
 def load_data(
     name: str, store: Store, env: str | None = None, step: int | None = None
 ) -> OrderedData:
-    """Load a run of the store, the folder of a run or of a weighing with its rows, or a dataset.
+    """Load a run or a weighing with its rows, by id or folder, or a dataset.
 
     `tom.data.datasets.FORMATS` lists the formats of datasets.
 
     `env` names the task of a dataset, whose actions are in the task's own units. `step` selects a
     run's buffer as it was at that env step. Raises UserError.
     """
-    path = Path(name).absolute()
-    if path.parent.name == layout.WEIGHINGS and (path / layout.CONFIG).is_file():
-        return load_run(RunReader(path), step)  # the rows that a weighing keeps are read as a run's
+    for path in (Path(name).absolute(), store.path / layout.WEIGHINGS / name):
+        if (path / layout.REPORT).is_file():
+            if not (path / layout.CONFIG).is_file():
+                raise UserError(f"{name} is a weighing that holds no rows: name the run that does")
+            return load_run(RunReader(path), step)  # its rows are read as a run's
     run = find_run(name, store)
     if run is not None:
         return load_run(run, step)
-    if not path.exists():
+    if not Path(name).exists():
         raise UserError(
             f"no data '{name}': name a run of {store.path}/ or a run folder; {where_else(name)}"
         )

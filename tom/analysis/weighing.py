@@ -228,11 +228,6 @@ class WeighingPlan:
     changed: Mapping[str, str]
     """the settings that are not the preset's: path to text"""
 
-    @property
-    def steps(self) -> int:
-        """The number of steps that the policy will take in the real environment."""
-        return 2 * self.footprint * len(self.seeds)
-
     def carry_out(self, stepped: Callable[[], None] = lambda: None) -> Iterator[Weighed]:
         """Yield every learner's weights under every seed (`weigh`)."""
         parts = self.data, self.policy, self.known, self.config, self.learners, self.seeds
@@ -260,7 +255,12 @@ def plan_weighing(
     """
     if footprint < 1:
         raise UserError(f"a footprint of {footprint} steps is impossible: it takes at least 1")
-    rows = _load_data(data, policy, store, env, step)
+    if env is None and policy != RANDOM and not is_foreign(policy):
+        run = find_run(policy, store)
+        env = read_policy(Path(policy)).env if run is None else run.env
+    rows = load_data(data, store, env, step)
+    if rows.env != (env or rows.env):
+        raise UserError(f"{rows.name} is of {rows.env}, not of {env}: name a policy of {rows.env}")
     known = task(rows.env)
     preset = preset or (EXACT if step is None else OWN)
     usual = _preset_config(preset, rows)
@@ -319,19 +319,6 @@ def with_collectors(data: OrderedData, policies: Sequence[PolicyOfInterest]) -> 
         gaussian = require_behaviour(versions[:0], None, policy).gaussian(obs[own])
         behaviour[own] = torch.cat(gaussian, 1)
     return replace(data, behaviour=behaviour)
-
-
-def _load_data(
-    name: str, policy: str, store: Store, env: str | None, step: int | None
-) -> OrderedData:
-    """The data, of the task `env`, else of the policy's."""
-    if env is None and policy != RANDOM and not is_foreign(policy):
-        run = find_run(policy, store)
-        env = read_policy(Path(policy)).env if run is None else run.env
-    data = load_data(name, store, env, step)
-    if data.env != (env or data.env):
-        raise UserError(f"{data.name} is of {data.env}, not of {env}: name a policy of {data.env}")
-    return data
 
 
 def _preset_config(preset: str, data: OrderedData) -> RunConfig:

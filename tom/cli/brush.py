@@ -76,12 +76,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"no run '{args.run_name}' in {store.path}/: name one of `tom runs list`")
     data = load_run(reader, args.step)
     region = _region(args.rows, data, args.step)
-    weights = _weights(args.weighing, reader, store, args.step)
-    if len(weights) != len(data):
-        raise UserError(
-            f"these are weights of {len(weights)} transitions, and the buffer at step {args.step} "
-            f"holds {len(data)}: name weights of that step"
-        )
+    weights = _weights(args.weighing, reader, store, data, args.step)
     fresh = None
     if args.step in reader.policy_steps():
         known = task(reader.env)
@@ -139,19 +134,26 @@ def _region(path: Path, data: OrderedData, step: int) -> NDArray[np.bool_]:
 
 
 def _weights(
-    weighing: str | None, reader: RunReader, store: Store, step: int
+    weighing: str | None, reader: RunReader, store: Store, data: OrderedData, step: int
 ) -> NDArray[np.float32]:
-    """The weights in a column of a weighing, or those of the run at `step`."""
+    """The weights (N,) of `data` in a column of a weighing, or those of the run at `step`."""
     if weighing is None:
         return Run(reader).weights(step)["weight"].to_numpy(np.float32)
     place, _, column = weighing.rpartition(":")
     path = Path(place) if "/" in place else store.beside(layout.WEIGHINGS) / place
     try:
-        return read_table(path / weighing_files.WEIGHTS)[column].to_numpy(np.float32)
+        report = weighing_files.read_report(path)
+        weights = read_table(path / weighing_files.WEIGHTS)[column].to_numpy(np.float32)
     except (KeyError, *DAMAGE) as error:
         raise UserError(
             f"--weighing {weighing}: no such weights ({error}): name FOLDER:COLUMN"
         ) from None
+    if (report["data"], report["end"], len(weights)) != (data.name, data.end, len(data)):
+        raise UserError(
+            f"--weighing {weighing} weighs {len(weights)} rows of {report['data']} up to row "
+            f"{report['end']}, not the {len(data)} of {data.name} at step {step}: weigh these"
+        )
+    return weights
 
 
 def _ghosts(reader: RunReader, fitted: list[BrushedFit], step: int) -> dict[str, NDArray]:

@@ -28,7 +28,6 @@ from tom.record import Store
 from tom.record.versions import command
 from tom.reports import weighing_files
 
-MOST_BINS = 10_000
 COLUMNS = (
     *("random_mean", "last_two", "spearman", "first_rise", "ess"),
     *("footprint", "footprint_se", "footprint_noise"),
@@ -42,7 +41,6 @@ COLLECTED_BY = (
     "policies that collected DATA, one for each policy_version above 0 in order, or one for all; "
     "for learners that need them if DATA lacks the columns behaviour_mean and behaviour_log_std"
 )
-SETTINGS = ("threads", "matmul")
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
@@ -52,7 +50,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "policy of interest. Writes weights.parquet, profile.csv, profile.png, profile.svg and "
         "report.json.",
     )
-    parser.add_argument("data", help=f"a run (id or folder), {FORMATS}")
+    parser.add_argument("data", help=f"a run or weighing (id or folder), {FORMATS}")
     parser.add_argument("--policy", required=True, help=POLICIES)
     parser.add_argument(
         "--learner", nargs="+", default=list(WEIGHED_FIRST), metavar="LEARNER",
@@ -68,7 +66,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )
     parser.add_argument("--seeds", nargs="+", type=whole(0), default=[0, 1, 2], metavar="N")
     parser.add_argument(
-        "--bins", type=whole(1, MOST_BINS), default=100, metavar="N", help="bins of a profile [100]"
+        "--bins", type=whole(1, 10_000), default=100, metavar="N", help="bins of a profile [100]"
     )
     parser.add_argument(
         "--footprint", type=whole(1), default=1000, metavar="N",
@@ -83,7 +81,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     add_store(parser)
     add_json(parser, "print the report as JSON")
     settings = settings_type()
-    wanted = (*SETTINGS, *(f"{group}." for group in setting_groups()))
+    wanted = ("threads", "matmul", *(f"{group}." for group in setting_groups()))
     left_out = {path for path, _ in leaf_fields(settings) if not path.startswith(wanted)}
     add_config_options(parser, settings, leave_out=left_out)
     parser.set_defaults(run=run)
@@ -102,8 +100,12 @@ def run(args: argparse.Namespace) -> int:
     weighing_files.check_free(args.out or store.new_weighing(name))
     torch.set_num_threads(plan.config.threads)
     choose_matmul(plan.config.matmul)
+    told = [text for _, text in plan.data.card.notices()]
+    for notice in told:  # before work that may be in vain
+        print(notice, file=sys.stderr)
     started, weighed = perf_counter(), list[Weighed]()
-    with ProgressReport(f"the policy in {plan.known.name}", plan.steps, sys.stderr) as bar:
+    steps = 2 * plan.footprint * len(plan.seeds)  # `tom.analysis.weighing.weigh`
+    with ProgressReport(f"the policy in {plan.known.name}", steps, sys.stderr) as bar:
         for one in plan.carry_out(bar.step):
             weighed.append(one)
             bar.print(f"{plan.data.name}: {one.learner} seed {one.seed}")
@@ -111,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
     report = weighing_files.report(plan, weighed, args.policy, args.step, command(), hours)
     out = args.out or store.new_weighing(name)
     weighing_files.write(out, plan.data, weighed, args.bins, report)
-    for notice in weighing_files.notices(report):
+    for notice in weighing_files.notices(report)[len(told) :]:
         print(notice, file=sys.stderr)
     return print_result(args, {**report, "out": str(out)}, lambda: _print(report, out))
 

@@ -275,7 +275,8 @@ def _order_fault(card: Card) -> str:
     if card.breaks:
         facts.append(f"{card.breaks:,} of {card.rows:,} rows break off without an end")
         if card.stride:
-            causes.append(f"{card.stride} environments interleaved: give one after the other")
+            causes.append(f"{card.stride} environments interleaved: give one after the other, with "
+                          "the step as 'policy_version'")  # fmt: skip
         elif card.breaks > UNORDERED * card.rows:
             causes.append("shuffled rows: give them in the order of collection")
         else:

@@ -71,18 +71,29 @@ def _rows_of(model: Any, buffer: Any, env: int) -> Columns:
         "next_obs": buffer.next_observations[order, env],
         "terminated": done & ~cut,
         "truncated": cut,
+        "policy_version": np.arange(1, len(order) + 1),  # steps, as in the other environments
     }
 
 
 class _Network(torch.nn.Module):
-    """An actor: SAC's mean and log standard deviation before the tanh; else actions, own units."""
+    """An actor: SAC's mean and log standard deviation before the tanh; else actions, own units.
 
-    def __init__(self, actor: Any, space: Any) -> None:
+    Its observations have the task's own units, also if the model saw `normalised` ones.
+    """
+
+    def __init__(self, actor: Any, space: Any, normalised: Any) -> None:
         super().__init__()
-        self.actor = actor
+        self.actor, self.moments = actor, None
+        if normalised is not None and normalised.norm_obs:
+            of, most = normalised.obs_rms, normalised.clip_obs
+            moments = of.mean, np.sqrt(of.var + normalised.epsilon), most
+            self.moments = [torch.as_tensor(part, dtype=torch.float32) for part in moments]
         self.low, self.high = torch.as_tensor(space.low), torch.as_tensor(space.high)
 
     def forward(self, obs: Tensor) -> Any:
+        if self.moments is not None:
+            mean, std, most = self.moments
+            obs = ((obs - mean) / std).clamp(-most, most)
         if hasattr(self.actor, "get_action_dist_params"):
             mean, log_std, of_state = self.actor.get_action_dist_params(obs)
             if of_state:  # gSDE: the noise is a random linear map of the last layer
@@ -98,7 +109,8 @@ def export_policy(model: Any, path: str | Path) -> None:
     with torch.random.fork_rng(devices=[]):  # the training goes on with its own
         actor = model.policy.make_actor()  # not a deepcopy, which gSDE's last noise forbids
     actor.load_state_dict(model.actor.state_dict())
-    network = _Network(actor.cpu().eval(), model.action_space)
+    normalised = model.get_vec_normalize_env()
+    network = _Network(actor.cpu().eval(), model.action_space, normalised)
     example = torch.zeros(1, *model.observation_space.shape)
     torch.jit.trace_module(network, {"forward": example}).save(str(path))
 

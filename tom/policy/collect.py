@@ -16,9 +16,6 @@ from tom.envs.task import Task
 from tom.events import Episode
 from tom.learners.base import Policy
 
-PolicyMean = Callable[[Tensor], Tensor]
-"""obs (B, O) float32 -> the policy's mean actions (B, A) in [-1, 1]."""
-
 
 class Step(NamedTuple):
     """One transition, the simulator's state at its obs, and the episode up to this step.
@@ -136,8 +133,8 @@ class Evaluator:
     def __init__(self, task: Task, episodes: int) -> None:
         self._envs = [task.make() for _ in range(episodes)]
 
-    def run(self, policy_mean: PolicyMean, seed: int) -> list[Episode]:
-        """One episode in each environment, to its end or time limit."""
+    def run(self, policy_mean: Callable[[Tensor], Tensor], seed: int) -> list[Episode]:
+        """An episode each, to its end or limit; `policy_mean`: obs (B, O) -> (B, A) in [-1, 1]."""
         seeds = np.random.SeedSequence(seed).generate_state(len(self._envs)).tolist()
         running = tapes = [_Tape(*args) for args in zip(self._envs, seeds, strict=True)]
         while running:

@@ -8,6 +8,8 @@ SCHEMA = 1
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 CONFIG = "config.json"
+REPORT = "report.json"
+"""of a weighing"""
 STATUS = "status.json"
 METRICS = "metrics.jsonl"
 METRICS_TABLE = "metrics.parquet"

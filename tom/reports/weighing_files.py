@@ -36,7 +36,7 @@ from tom.record.thin import write_columns
 from tom.record.versions import made_by
 from tom.reports.report import in_short, write_csv
 
-WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
+WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", layout.REPORT, "profile"
 SAME = 1e-6
 """weights of mean 1 that differ by no more are the same"""
 GHOSTS = "ghosts.npz"
@@ -265,9 +265,8 @@ def write(
             segment = folder / layout.segment(0)
             segment.parent.mkdir()
             np.savez(segment, allow_pickle=False, **decode.transition_arrays(collected))
-            # Readers of runs find the task there.
+            # For readers of runs, and those who weigh these rows from here.
             said = {"schema": layout.SCHEMA, "env": data.env, "task": description(data.env)}
-            # For those who weigh these rows from here.
             said |= {"data": data.name}
             replace_json(folder / layout.CONFIG, said, sync=False)
             save_scene(data.env, folder)

@@ -119,7 +119,8 @@ def draw(run: RunReader, fit: int) -> None:
     mask = buffer_map.selection_mask(run, source, selection)
     if run.env != ROAD:  # its states are positions, which its own map shows
         _scenes(run, rows, source, mask, selection, row)
-        why.brush(run, source, mask)
+        if run.fits_model and not isinstance(run, weighings.Dataset):  # as `tom brush` needs it
+            why.brush(run, source, mask)
     why.draw(run, rows, source, row)
     _row_list(run, rows, source, mask)
     widgets.show_left_out(run, "other snapshots", "simulator states")

@@ -17,6 +17,7 @@ from app.parts.plot import chart
 from app.parts.scope import Scope
 from app.views.attention import in_buffer
 from tom.analysis.weighing import POLICIES, PRESETS, RANDOM
+from tom.data.card import sentence
 from tom.data.datasets import FORMATS
 from tom.envs import ANY, ENVS, ROAD, is_code
 from tom.learners import LEARNERS, WEIGHED_FIRST, follows_behaviour, learner_label
@@ -104,10 +105,10 @@ def _draw_weighing(weighing: Weighing, rows: int) -> None:
     if not of:
         st.warning("The weights of this weighing cannot be read.")
         return
-    in_buffer.show_remarks(weighing, rows, weighing.card)
+    in_buffer.show_remarks(weighing, rows, sentence(weighing.report.get("card", {})))
     footprints = weighing.footprints
-    if sentence := nearest({name: of[:, 0] for name, of in footprints.items()}):
-        st.markdown(text.unbroken(sentence))
+    if closest := nearest({name: of[:, 0] for name, of in footprints.items()}):
+        st.markdown(text.unbroken(closest))
     with st.container(border=True):
         share = weighing.ordered_from / len(next(iter(of.values())))
         ends = ": the dotted line ends the random data" if share > 0 else ""

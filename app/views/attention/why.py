@@ -91,7 +91,10 @@ def draw(run: RunReader, rows: Rows, source: Source, row: int | None) -> None:
                 )
                 st.caption(text.markdown(sentence))
             with right:
-                _neighbours(run, rows, found, row)
+                if len(found.policy_rows):
+                    _neighbours(run, rows, found, row)
+                else:
+                    st.caption("Its policy is code of yours, which is run only in a terminal.")
         if run.env != ROAD:
             _rollouts(run, rows, row, source.step)
 

@@ -1,11 +1,14 @@
 """The counterfactual brush: what the page shows is what `tom brush` measured."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import code_of
+from common import change
 from studio_pages import Show, array, draw, figures, in_browser, in_buffer, saved
 from studio_runs import PENDULUM_TOM, info, with_weighing
 
@@ -51,6 +54,18 @@ def test_a_brush_is_a_weighing_whose_region_is_multiplied(made: Path, store: Pat
     more = own * np.where(region, 4, 1)
     assert table["region x 4-s0"].to_numpy() == pytest.approx(more / more.mean(), abs=1e-5)
     assert (table["region x 0-s0"].to_numpy()[region] == 0).all()
+
+
+def test_weights_of_other_rows_are_refused(made: Path, store: Path, tmp_path: Path, capsys) -> None:
+    """A weighing of another run, or of another step, may have as many rows."""
+    words = ["brush", PENDULUM_TOM, "--rows", str(made.parent / "rows.txt"), "--step", str(FIT)]
+    words += ["--store", str(store), "--factors", "0", "--seeds", "0"]
+    for number, other in enumerate(({"data": "another"}, {"end": FIT + 50}, {})):
+        shutil.copytree(made, copy := tmp_path / str(number))
+        change(copy / REPORT, **other)
+        given = [*words, "--weighing", f"{copy}:as it is-s0", "--out", str(copy / "out")]
+        assert code_of(given) == (2 if other else 0)
+    assert len(capsys.readouterr().err.splitlines()) == 2 + 2  # one each, and two models
 
 
 def test_the_page_shows_what_was_measured(brushed: Path) -> None:

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from commands import QUICK
 from studio_pages import Show, draw, figures, in_buffer, on_one_buffer
 from studio_runs import PENDULUM_TOM
 
-from app.data import weighings
+from app.data import buffer_map, weighings, why
 from app.router import VIEWS, View
 from tom.cli import main
 from tom.envs import task
@@ -36,6 +37,7 @@ def weighed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         columns["action"] = 3 * columns["action"]  # in the task's own units
         np.savez(folder / f"{name}.npz", allow_pickle=False, **columns)
     words = ["--policy", "random", "--env", ENV, "--footprint", "50", "--learner", "pmac", "mle"]
+    words += ["--pmac.decay", "0.99"]
     for name, out in (("other", "third"), ("my buffer", "first"), ("my buffer", "second")):
         made = ["--out", str(folder / "store/weighings" / out), "--store", str(folder / "store")]
         assert main(["weigh", str(folder / f"{name}.npz"), *words, *made]) == 0
@@ -94,13 +96,52 @@ def test_the_command_on_the_page_weighs_the_same_rows_again(
     app = on_one_buffer(run=named(weighed, "my buffer"))
     words = shlex.split(next(code.value for code in app.code if "/weighings/" in code.value))
     monkeypatch.chdir(tmp_path)  # where no file of the user's lies
-    assert main([*words[1:], "--footprint", "50", "--out", "again"]) == 0
+    assert main([*words[1:], "--out", "again"]) == 0
     found = weighings.of_run(weighings.datasets(str(weighed))[0])
     (before,) = (one.path for one in found if one.name == "first")
     old, new = read_json(before / "report.json"), read_json(tmp_path / "again" / "report.json")
-    same = ("data", "rows_digest", "env", "policy", "preset", "rows")
+    same = ("data", "rows_digest", "env", "policy", "preset", "rows", "footprint", "changed")
     assert [new[name] for name in same] == [old[name] for name in same]
     assert new["medians"] == old["medians"]
+
+
+ACTING = """
+import pathlib
+def act(obs):
+    pathlib.Path("asked").touch()
+    return obs[:, :1]
+"""
+
+
+@pytest.mark.parametrize(("policy", "rows"), [("acting:act", 0), ("its", 100)])
+def test_the_sum_of_a_weight_is_shown_and_no_code_of_the_users_runs(
+    policy: str, rows: int, weighed: Path, tmp_path: Path, monkeypatch, show: Show
+):
+    monkeypatch.chdir(tmp_path)
+    Path("acting.py").write_text(ACTING)
+    shutil.copytree(GALLERY_RUN, "store/its")
+    words = ["--policy", policy, "--env", ENV, "--learner", "tom", "--seeds", "0", *QUICK]
+    assert main(["weigh", str(weighed.parent / "other.npz"), *words, "--store", "store"]) == 0
+    Path("asked").unlink(missing_ok=True)
+    (run,) = weighings.datasets("store")
+    (source,) = buffer_map.sources(run).values()
+    found = why.why_of(run, source)
+    assert isinstance(found, why.Why)
+    assert found.sum_of(7).weight == pytest.approx(source.weight[7], abs=1e-5)
+    assert len(found.policy_rows) == rows
+    show(tmp_path / "store")
+    app = in_buffer(run=run.run_id, row="7")
+    assert len(app.dataframe) == (2 if rows else 1)  # with the nearest of the policy's rows
+    assert not Path("asked").exists()
+
+
+def test_only_a_run_of_a_model_is_offered_to_be_brushed(tmp_path: Path, weighed: Path, show: Show):
+    shutil.copytree(weighed, tmp_path / "store")
+    shutil.copytree(GALLERY_RUN, tmp_path / "store/its")
+    show(tmp_path / "store")
+    for run, offered in (("its", True), (named(weighed, "other"), False)):
+        app = in_buffer(run=run)
+        assert ("factors" in [one.key for one in app.get("button_group")]) == offered
 
 
 def test_weights_that_cannot_be_read_are_said(weighed: Path, tmp_path: Path, show: Show):

@@ -8,11 +8,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from tom.analysis.imagine import imagine, joint_positions, step_errors, stored_model
+from tom.analysis.imagine import imagine, joint_positions, stored_model
 from tom.data.transitions import Transitions
 from tom.envs import task
 from tom.errors import UserError
 from tom.events import Episode
+from tom.exams.diagnostics import errors_of_rows
 from tom.policy.collect import Evaluator
 from tom.policy.stored import read_policy
 from tom.record import RunReader, Store, checkpoint, layout
@@ -67,14 +68,14 @@ def test_errors_are_in_standard_deviations_of_a_steps_change():
     following = np.array([[3], [-3], [3], [-3]], np.float32)
     nothing = np.zeros(4, np.float32)
     rows = Transitions(obs, action, nothing, following, nothing, nothing)
-    assert step_errors(Adder(), rows) == pytest.approx(1)
+    assert errors_of_rows(Adder(), rows.torch()).numpy() == pytest.approx(1)
 
 
 def test_the_kept_model_predicts_as_the_run_measured(hopper: RunReader):
     kept = stored_model(hopper)
     assert kept.env_step == 360
     rows, _ = hopper.buffer()
-    errors = step_errors(kept.predictor, rows)
+    errors = errors_of_rows(kept.predictor, rows.torch()).numpy()
     recorded = hopper.metrics()["model/error_other"].dropna().iloc[-1]
     assert np.sqrt(np.square(errors).mean()) == pytest.approx(recorded, rel=0.5)
 

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 from commands import QUICK, code_of, refused
+from common import one_line
 from gymnasium.envs.classic_control import PendulumEnv
 from gymnasium.wrappers import RescaleAction
 
@@ -344,6 +345,20 @@ def test_own_data_by_an_own_policy(rows, data: str, policy: str, tmp_path: Path,
     assert other[ROWS] == report[ROWS]
 
 
+def test_a_weighing_is_data_by_its_name_and_wherever_it_lies(rows, data: str, tmp_path: Path):
+    store, words = Store(tmp_path / "store"), ["--policy", "random", "--learner", "mle"]
+    for place in ("store/weighings/kept", "elsewhere"):
+        made = str(tmp_path / place)
+        assert weigh(store.path, data, "--env", ENV, *words, "--seeds", "0", "--out", made) == 0
+    for name in ("kept", str(tmp_path / "elsewhere")):
+        found = load_data(name, store)
+        assert (found.name, found.env, found.run) == ("mine", ENV, None)
+        np.testing.assert_allclose(found.transitions.obs, rows.obs)
+    (tmp_path / "elsewhere/config.json").unlink()  # as a weighing of a run's buffer
+    with one_line():
+        load_data(str(tmp_path / "elsewhere"), store)
+
+
 def test_policies_that_collected_the_data_come_from_a_list_or_from_columns(
     rows: Transitions, policy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -383,6 +398,20 @@ def test_policies_that_collected_the_data_come_from_a_list_or_from_columns(
     version[-1] = 1
     of_rows["behaviour_mean"][N - 1] = np.nan
     refused(command(**of_rows), capsys)
+
+
+def test_what_contradicts_itself_is_told_before_the_work(data: str, tmp_path: Path, capsys):
+    columns = dict(np.load(data))
+    np.savez(tmp_path / "mask.npz", **columns | {"terminated": ~columns["terminated"]})
+    words = (str(tmp_path / "mask.npz"), "--policy", "random", "--env", ENV, "--learner", "mle")
+    assert weigh(tmp_path / "store", *words, "--seeds", "0", "--json") == 0
+    printed = capsys.readouterr()
+    lines = printed.err.splitlines()
+    told = [one["text"] for one in json.loads(printed.out)["card"]["notices"]]
+    assert told
+    for text in told:
+        assert lines.count(text) == 1
+        assert lines.index(text) < lines.index("mask: mle seed 0")
 
 
 @pytest.mark.parametrize(

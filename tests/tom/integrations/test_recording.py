@@ -291,12 +291,31 @@ def test_a_buffer_is_what_was_done_in_each_environment(env: str, tmp_path: Path)
         same(recording.rows[number * 110 : (number + 1) * 110], own)
     assert np.abs(recording.rows.action).max() > 1  # in the task's own units
     assert recording.card.notices() == ()
+    # Rows of one step have one policy, whichever environment they are of.
+    assert recording.policy_version is not None
+    assert recording.policy_version.tolist() == [*range(1, 111)] * 3
 
 
 def test_a_full_buffer_begins_with_its_oldest_row(tmp_path: Path):
     model, [steps] = learnt("Pendulum-v1", 110, size=75)
     export_buffer(model, tmp_path / "whole.npz")
     same(read_dataset(tmp_path / "whole.npz").rows, steps[-75:])
+
+
+@pytest.mark.parametrize("kind", [SAC, TD3])
+def test_an_exported_policy_takes_the_observations_of_the_exported_buffer(kind, tmp_path: Path):
+    env = VecNormalize(DummyVecEnv([pendulum]), clip_obs=1.5)
+    model = small(kind, env, learning_starts=20, batch_size=16)
+    model.learn(60)
+    export_buffer(model, tmp_path / "buffer.npz")
+    export_policy(model, tmp_path / "policy.pt")
+    obs = np.asarray(read_dataset(tmp_path / "buffer.npz").rows.obs, np.float32)
+    seen: Any = env.normalize_obs(obs)
+    assert np.abs(seen - obs).max() > 1
+    found = torch.jit.load(tmp_path / "policy.pt")(torch.from_numpy(obs))
+    action = 2 * torch.tanh(found[0]) if kind is SAC else found
+    expected = model.predict(seen, deterministic=True)[0]
+    np.testing.assert_allclose(action.detach(), expected, atol=1e-4)
 
 
 def test_a_buffer_without_the_ends_of_episodes_is_refused(tmp_path: Path):
