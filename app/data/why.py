@@ -106,10 +106,8 @@ def _weighing_context(
     run: RunReader, source: Source, weighing: Weighing
 ) -> tuple[TomConfig, str, TensorTransitions, Tensor]:
     """What belongs to the terms of a weighing; the policy's rows are made anew, but not by code."""
-    tom, name = (
-        TomConfig.model_validate(weighing.report["config"]["tom"]),
-        weighing.report["policy"],
-    )
+    tom = TomConfig.model_validate(weighing.report["config"]["tom"])
+    name = weighing.report["policy"]
     if is_foreign(name) and not name.endswith(ONNX):
         anew = buffer.recorded(run).rows[:0].torch()
     else:
