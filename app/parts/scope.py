@@ -119,7 +119,9 @@ def draw() -> Scope:
             by = address.choose_one(st.selectbox, "Group by", choices(of_task), "group", USUAL)
             runs = of_task
             for field, (label, values, shown) in FILTERS.items():
-                options = sorted({value for run in of_task for value in values(run)})
+                # A chosen one stays, also if the last run of that state has just ended.
+                chosen = st.session_state.get(field, ())
+                options = sorted({value for run in of_task for value in values(run)}.union(chosen))
                 picked = {*address.choose_many(label, options, field, shown, placeholder="any")}
                 runs = [run for run in runs if not picked or picked.intersection(values(run))]
         runs = matching(runs, words)

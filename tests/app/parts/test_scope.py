@@ -192,6 +192,14 @@ def test_filters_leave_the_runs_of_a_learner_or_a_state(own: Path) -> None:
     assert [run["run_id"] for run in group["runs"]] == [SECOND]
 
 
+def test_a_filter_stays_when_the_last_training_of_its_state_ends(own: Path) -> None:
+    trains_elsewhere(own / SECOND)
+    app = draw("curves", task=PENDULUM, state="running")
+    change(own / SECOND / layout.STATUS, state="failed", reason="it broke")
+    assert not groups(app.run())
+    assert app.query_params["state"] == "running"
+
+
 def test_the_end_of_a_training_is_told_once(own: Path) -> None:
     trains_elsewhere(own / SECOND)
     app = draw("curves", task=PENDULUM)
