@@ -36,7 +36,7 @@ def test_folders_of_two_settings_are_two_runs(tmp_path: Path):
             writer.add_scalar("train/return", 1.0, 10)
         words = ["runs", "import", str(tmp_path / name), "--env", "Hopper-v5", "--store"]
         assert code_of([*words, str(tmp_path / "runs")]) == 0
-        assert loaded(tmp_path / "runs", name).summary["env_step"] == 10
+        assert loaded(tmp_path / "runs", name).summary[["env_step"]].tolist() == [10]
 
 
 def test_a_csv_of_wandb_is_a_run_for_each_of_its_runs(tmp_path: Path):
