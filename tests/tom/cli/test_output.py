@@ -37,10 +37,11 @@ def test_a_resumed_run_counts_only_its_own_steps(monkeypatch: pytest.MonkeyPatch
 
 def test_a_resumed_run_goes_on_from_its_returns():
     shown = io.StringIO()
-    played = (np.ones(size, np.float32) for size in (3, (3, 1), (4, 1)))  # reward, action, obs
+    column = np.ones((4, 1), np.float32)
+    played = Episode(reward=column[:3, 0], action=column[:3], obs=column)
     with ProgressReport("hopper", 1, shown, returns=[13.0, 9.5]) as report:
         report.consume(Tick(1, "optimise"))
-        report.consume(Evaluation(1, [Episode(*played)]))
+        report.consume(Evaluation(1, [played]))
         report.consume(Tick(1, "optimise"))
     first, second = shown.getvalue().splitlines()
     assert re.findall(r"[\d.]+$|return [\d.]+", first) == ["return 9.5", "13.0"]
