@@ -232,7 +232,7 @@ def test_no_name_of_a_saved_table_is_a_formula() -> None:
     rows = saved(labelled([group(formula, 90), replace(group("tom", 9), variant="-5")]))
     assert set(rows["group"].dropna()) == {f"'{formula}", "TOM, -5"}
     assert rows["line"].str.match(r"[=+\-@]").sum() == 0
-    assert rows["Return"].min() == 0
+    assert min(rows["Return"].tolist()) == 0
 
 
 @in_browser
