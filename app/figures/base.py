@@ -141,13 +141,15 @@ def dashes(learners: Sequence[str]) -> list[str]:
     return [DASHES[count % len(DASHES)] for count in counts]
 
 
-def note(figure: go.Figure, remarks: Sequence[str], right: float = 1) -> go.Figure:
+def note(
+    figure: go.Figure, remarks: Sequence[str], right: float = 1, *, above: bool = False
+) -> go.Figure:
     """Remarks in the figure's corner, one below the other; none if there are no words.
 
-    They end at `right`, a share of the figure's width.
+    They end at `right`, a share of the figure's width; `above` the axes they cover no line.
     """
     if remarks:
-        place = {"name": "note", "x": right, "y": 0, "xref": "paper", "yref": "paper"}
+        place = {"x": right, "y": int(above), "xref": "paper", "yref": "paper"}
         corner = {"xanchor": "right", "yanchor": "bottom", "showarrow": False, "opacity": 0.75}
         figure.add_annotation(text="<br>".join(remarks), **place, **corner, font={"size": 11})
     return figure

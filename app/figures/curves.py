@@ -232,7 +232,7 @@ def group_curves(
         words.append(f"single runs thinned to {POINTS} points each")
     cut_bands(figure, log_x=axes.log_x, log_y=axes.log_y)
     words += dropped_by_log_axes(drawn, log_x=axes.log_x, log_y=axes.log_y)
-    return note(figure, words)
+    return note(figure, words, above=True)
 
 
 def _css_key(*words: str) -> str:

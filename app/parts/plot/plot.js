@@ -29,9 +29,6 @@ function dressed(layout, value) {
     ...layout,
     autosize: true,
     font: { ...layout.font, ...font },
-    // A note covers the lines below it.
-    annotations: layout.annotations?.map((one) =>
-      one.name === "note" ? { ...one, bgcolor: value("background-color") } : one),
     hoverlabel: {
       bgcolor: value("secondary-background-color"),
       bordercolor: value("border-color"),
