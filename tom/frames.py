@@ -196,11 +196,14 @@ class Weighing:
         of = str(self.weights.columns[0]) if of is None else of
         check_known("column", [of], list(map(str, self.weights)))
         rows = self._recorded()
+        record, end = rows, len(rows)
+        if self.run is not None:
+            record, end = self.run.buffer()[0], self.report["end"]
         names = dimension_names(str(self.report["env"]), rows, self.obs_names)
         weights = {str(name): self.weights[name].to_numpy() for name in self.weights}
         known = {} if self.policy_distance is None else {DISTANCE: self.policy_distance}
         more = known | ({} if self.run is None else _errors(self.run, rows)) | weights
-        return row_table(rows, weights[of], len(rows), names, more)
+        return row_table(record, weights[of], end, names, more)
 
     def _recorded(self) -> Transitions:
         if self.recorded is None:

@@ -174,8 +174,9 @@ def _start_button(commands: Sequence[Sequence[str]]) -> None:
     left, right = st.columns([1, 4], vertical_alignment="center")
     label = f"Start {len(commands)} trainings" if many else "Start"
     if left.button(label, type="primary", icon=PLAY, key="start"):
-        for words in commands:  # the time tells two of the same command apart
-            jobs.start(f"{form.command_line(words)}, {time.strftime('%H:%M:%S')}", words)
+        for words in commands:
+            if not jobs.is_running(name := form.command_line(words)):  # else by a second click
+                jobs.start(name, words)
         st.toast("Started. It appears below in a few seconds.", icon=PLAY)
     right.code(form.command_line(commands[0]), language="bash", wrap_lines=True)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()

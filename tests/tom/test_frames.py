@@ -1,5 +1,6 @@
 """Runs and weighings as frames: the numbers are those of the files."""
 
+import json
 import shutil
 import subprocess
 import sys
@@ -145,6 +146,19 @@ def test_the_rows_of_a_weighing_come_from_its_run(weighing: Weighing, run: Run):
     found = weighed(stored)
     assert len(found.transitions) == len(found.weights) == found.report["rows"]
     assert found.random_share == found.report["ordered_from"] / found.report["rows"]
+
+
+def test_a_weighing_numbers_its_rows_as_the_run_of_a_full_buffer_does(tmp_path: Path):
+    folder = shutil.copytree(GALLERY / RUN, tmp_path / RUN)
+    config = json.loads((folder / "config.json").read_text())
+    config["config"]["replay_capacity"] = 200
+    (folder / "config.json").write_text(json.dumps(config))
+    rows = tom.weigh(
+        RUN, RUN, step=300, seeds=[0], footprint=100, learners=["pmac"], store=tmp_path
+    ).rows()
+    assert rows["row"].tolist() == list(range(100, 300))
+    episodes = loaded(GALLERY, RUN).rows(300)
+    assert rows["episode"].tolist() == episodes["episode"][100:].tolist()
 
 
 def test_the_rows_of_own_data_are_those_of_its_file_with_every_learners_weight(tmp_path: Path):

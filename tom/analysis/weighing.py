@@ -255,12 +255,7 @@ def plan_weighing(
     """
     if footprint < 1:
         raise UserError(f"a footprint of {footprint} steps is impossible: it takes at least 1")
-    if env is None and policy != RANDOM and not is_foreign(policy):
-        run = find_run(policy, store)
-        env = read_policy(Path(policy)).env if run is None else run.env
-    rows = load_data(data, store, env, step)
-    if rows.env != (env or rows.env):
-        raise UserError(f"{rows.name} is of {rows.env}, not of {env}: name a policy of {rows.env}")
+    rows = _data_for(policy, data, store, env, step)
     known = task(rows.env)
     preset = preset or (EXACT if step is None else OWN)
     usual = _preset_config(preset, rows)
@@ -297,6 +292,19 @@ def plan_weighing(
         footprint=footprint,
         changed={path: value for path, value in now.items() if before.get(path) != value},
     )
+
+
+def _data_for(
+    policy: str, data: str, store: Store, env: str | None, step: int | None
+) -> OrderedData:
+    """The data, of the task `env`, by default the policy's. Raises UserError if of another."""
+    if env is None and policy != RANDOM and not is_foreign(policy):
+        run = find_run(policy, store)
+        env = read_policy(Path(policy)).env if run is None else run.env
+    rows = load_data(data, store, env, step)
+    if rows.env != (env or rows.env):
+        raise UserError(f"{rows.name} is of {rows.env}, not of {env}: name a policy of {rows.env}")
+    return rows
 
 
 def with_collectors(data: OrderedData, policies: Sequence[PolicyOfInterest]) -> OrderedData:

@@ -21,8 +21,8 @@ def folder(text: str) -> Path:
     """The type of a folder argument, for argparse."""
     if "://" in text:
         raise argparse.ArgumentTypeError(
-            f"{text} is not a folder; fetch runs from an object store first: "
-            "tom runs fetch s3://BUCKET/PREFIX --store runs"
+            f"{text} is not a folder: `tom sweep` trains into an object store, and "
+            "`tom runs fetch s3://BUCKET/PREFIX --store runs` brings its runs here"
         )
     return Path(text)
 

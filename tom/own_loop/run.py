@@ -319,6 +319,8 @@ class OwnRun:
         if self.closed:
             return
         self.closed = True
+        if isinstance(error, SystemExit) and not error.code:
+            error = None
         for why in filter(None, (failed() for failed in self.live)):
             warnings.warn(f"run {self.name}: the live weighing failed: {why}", stacklevel=2)
         atexit.unregister(self._at_exit)

@@ -20,7 +20,7 @@ from app.parts.scope import Scope
 from app.scenes.control import RoadChoice
 from app.theme import Mode
 from app.views.attention import in_buffer, learners
-from tom.analysis.answer import newest_share
+from tom.analysis.answer import ROAD_METRICS, newest_share
 from tom.analysis.curves import curve_points
 from tom.analysis.exams import at_fit
 from tom.analysis.weight_readers import weight_readers
@@ -374,6 +374,11 @@ def _road_numbers(run: RunReader) -> None:
     numbers = []
     for label, metric in ROAD_NUMBERS.items():
         at, values = curve_points(frame, metric)
+        if metric == ROAD_METRICS[1]:
+            weighed = frame.reindex(columns=["env_step", *ROAD_METRICS]).dropna(
+                subset=ROAD_METRICS[0]
+            )
+            at, values = weighed["env_step"].to_numpy(), weighed[metric].to_numpy()
         last = [float(values[at <= step][-1]) if (at <= step).any() else np.nan for step in steps]
         shown = percent if metric == "weights/road_share" else short
         numbers.append((label, [shown(value) for value in last], describe(metric)))

@@ -101,7 +101,7 @@ def draw(run: RunReader, fit: int) -> None:
     )  # fmt: skip
     key = _pick_plane(run, sources, source, top[2])
     where, outline = address.get_all("where"), address.get_all("outline")
-    selection, row = Selection.of(where, outline), why.chosen_row(rows)
+    selection, row = Selection.of(where, outline), why.chosen_row(run, rows)
     shown = [one for one in sources.values() if not one.weighing]
     given = _map_data(run, rows, source, [source] if source.weighing else shown, row)
     keys = [key, *({selection.outline.plane} - {key} if selection.outline else ())]

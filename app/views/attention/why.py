@@ -47,17 +47,21 @@ def pick(row: int) -> None:
     st.session_state[KEY] = row
 
 
-def chosen_row(rows: Rows) -> int | None:
-    """The chosen row of the buffer: by a click, a widget or the address (`?row=`); or none."""
+def chosen_row(run: RunReader, rows: Rows) -> int | None:
+    """The chosen row of the buffer: by a click, a widget or the address (`?row=`); or none.
+
+    A row that this fit's buffer does not hold stays chosen for other fits.
+    """
     row = address.value_of(KEY, address.whole_number)
-    inside = row is not None and rows.first <= row < rows.first + len(rows)
-    st.session_state[KEY] = row if inside else None
-    return row - rows.first if row is not None and inside else None
+    if row is None or not 0 <= row < buffer.length(run):
+        st.session_state[KEY] = None
+        return None
+    return row - rows.first if rows.first <= row < rows.first + len(rows) else None
 
 
 def draw(run: RunReader, rows: Rows, source: Source, row: int | None) -> None:
     with st.container(border=True):
-        _row_picker(rows)
+        _row_picker(run, rows)
         if row is None:
             return
         found = reasons.why_of(run, source)
@@ -99,7 +103,7 @@ def draw(run: RunReader, rows: Rows, source: Source, row: int | None) -> None:
             _rollouts(run, rows, row, source.step)
 
 
-def _row_picker(rows: Rows) -> None:
+def _row_picker(run: RunReader, rows: Rows) -> None:
     st.markdown("**Why this weight?** Click a transition on a map, or choose one")
     weight = rows.weight
     zero, above = np.flatnonzero(weight == 0), np.flatnonzero(weight > 0)
@@ -111,7 +115,7 @@ def _row_picker(rows: Rows) -> None:
     }
     with st.container(horizontal=True, vertical_alignment="bottom"):
         chosen = st.number_input(
-            "Number of the transition", rows.first, rows.first + len(rows) - 1, value=None, key=KEY,
+            "Number of the transition", 0, buffer.length(run) - 1, value=None, key=KEY,
             placeholder="none yet", width=260,
             help="its row in the run's record, counted from 0",
         )  # fmt: skip
@@ -119,6 +123,9 @@ def _row_picker(rows: Rows) -> None:
             at = rows.first + int(row or 0)
             st.button(name, key=f"why {name}", disabled=row is None, on_click=pick, args=(at,))
     address.write(KEY, [] if chosen is None else [str(chosen)])
+    last = rows.first + len(rows) - 1
+    if chosen is not None and not rows.first <= chosen <= last:
+        st.caption(f"This buffer holds the transitions {rows.first:,} to {last:,}.")
 
 
 def _neighbours(run: RunReader, rows: Rows, found: Why, row: int) -> None:

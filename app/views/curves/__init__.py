@@ -77,8 +77,9 @@ def _curves(scope: Scope, row: DeltaGenerator) -> None:
         name for run in scope.runs for name in readers.metric_counts(run)
     )
     usual = [name for name in measure.FIRST[:4] if name in recorded]
+    options = [*dict.fromkeys([*recorded, *st.session_state.get("panel", ())])]  # of other tasks
     chosen = address.choose_many(
-        "Panels", recorded, "panel", default=usual or recorded[:1], label_visibility="collapsed",
+        "Panels", options, "panel", default=usual or recorded[:1], label_visibility="collapsed",
         placeholder="add a metric",
     )  # fmt: skip
     with row.popover("Lines", icon=":material/tune:"):

@@ -126,6 +126,14 @@ def test_any_metric_over_wall_time_and_shares_of_the_run(store: Path) -> None:
         assert not parts(app, "tom_timeline")  # its steps are of no such axis
 
 
+def test_panels_that_another_task_lacks_are_there_on_return() -> None:
+    app = curves(panel=["planner/return", "eval/return"], task="road-and-rocks")
+    for task in (PENDULUM, "road-and-rocks"):
+        app.selectbox(key="task").select(task).run()
+    assert app.session_state["panel"] == ["planner/return", "eval/return"]
+    assert len(figures(app)) == 2
+
+
 def test_a_hidden_run_or_group_counts_nowhere_and_is_in_the_address() -> None:
     app = curves(hide=SEEDS[1])
     assert trace(first(app), name=ALONE)["meta"] == SEEDS[0]

@@ -275,6 +275,18 @@ def test_a_row_has_its_episode_and_its_nearest(rows: Rows) -> None:
     assert len(set(given["near"]) & set(rows.first + np.argsort(gap)[1:11])) >= 8  # of other scales
 
 
+def test_a_chosen_row_stays_chosen_while_an_earlier_fit_is_shown(store: Path) -> None:
+    first, *_, last = RunReader(store / PENDULUM_TOM).snapshot_steps()
+    row = RunReader(store / PENDULUM_TOM).profiles().rows_at(last) - 1
+    app = in_buffer(run=PENDULUM_TOM, step=str(last), row=str(row))
+    for step, shown in ((first, None), (last, row)):
+        app.session_state[timeline.STEP] = step
+        app.run()
+        assert map_of(app)["row"] == shown
+        assert app.query_params["row"] == str(row)
+        assert not app.exception
+
+
 # Why this weight: the page's sum is the weight that is recorded
 
 

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import time
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from studio_runs import (
 )
 
 from app.data import trainings
+from app.data.trainings import Started
 from app.parts import jobs, start
 from app.parts.start import MAX_NAMED, card_heading, main_numbers, settings_line
 from tom.record import layout
@@ -157,6 +159,24 @@ def test_the_form_writes_the_command(store: Path) -> None:
     app.text_input(key="start set sac.discount").input("2").run()
     assert "discount" in app.error[0].value
     assert not [button for button in app.button if button.key == "start"]
+
+
+def test_a_second_click_starts_no_second_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun = list[str]()
+
+    def begin(arguments: Sequence[str]) -> Started:
+        begun.append(" ".join(arguments))
+        return stand_in(arguments, "import time; time.sleep(600)")
+
+    monkeypatch.setattr(trainings, "start", begin)
+    app = form()
+    app.button(key="start").click().run()
+    app.button(key="start").click().run()
+    app.multiselect(key="start seeds").select(1).run()
+    app.button(key="start").click().run()
+    assert ["--seed 0" in begun[0], "--seed 1" in begun[1], len(begun)] == [True, True, 2]
+    for one in jobs.started_commands().values():
+        one.process.kill()
 
 
 def test_the_preset_is_the_learners_own_until_another_is_chosen() -> None:

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import gymnasium
@@ -161,6 +162,13 @@ def test_any_run_id_is_also_its_name(tmp_path: Path):
     with record("x" * 100, env="Pendulum-v1", store=tmp_path) as run:
         pass
     assert loaded(run).reader.labels.name == "x" * 100
+
+
+def test_a_program_that_ends_without_an_error_has_finished_its_record(tmp_path: Path):
+    for code, state in ((0, "finished"), (None, "finished"), (3, "failed")):
+        with suppress(SystemExit), record(f"code-{code}", env="Pendulum-v1", store=tmp_path) as run:
+            sys.exit(code)
+        assert loaded(run).reader.status.state == state
 
 
 def test_what_is_cut_off_counts_as_no_best_return(tmp_path: Path):
