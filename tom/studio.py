@@ -16,8 +16,7 @@ FIGURES = "app.notebook"
 def show(shown: Run | Weighing, height: int = 400) -> Mapping[str, Any]:
     """The studio's Plotly figures of a run or a weighing by name; Jupyter displays them all.
 
-    For a run: its return, the weights of every fit and of the last one, and the effective sample
-    size. For a weighing: the learners' profiles, the map of rows by the weight of the first
-    learner, and what distinguishes the heaviest 1 %.
+    For a run: `return`, and the weights of `every fit` and of `the last fit`. For a weighing: the
+    learners' `profiles`.
     """
     return import_module(FIGURES).figures(shown, height)
