@@ -1,6 +1,5 @@
 """The numbers in the figures are the numbers in the run folders."""
 
-import re
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -60,16 +59,6 @@ def notes(figure: go.Figure) -> list[str]:
 def long_curve(points: int, seed: int = 0) -> Curve:
     value = np.random.default_rng(seed).normal(size=points)
     return Curve(f"run-{seed}", "hopper", "tom", "paper", seed, np.arange(points), value)
-
-
-def test_traces_have_names_that_are_css_classes_whatever_a_group_is_called() -> None:
-    group = aggregate(
-        [replace(long_curve(50, seed), preset="model.hidden 8, <b>.#") for seed in (0, 1)]
-    )
-    ids = [trace.uid for trace in drawn(group_curves([group], "x", 300, singles=True))]
-    assert len(ids) == 3 + len(group.curves)
-    assert all(re.fullmatch("[a-z0-9]+", uid) for uid in ids)
-    assert len(set(ids)) == len(ids)
 
 
 def test_long_curves_and_many_fits_are_thinned_and_say_so(profiles: Profiles) -> None:

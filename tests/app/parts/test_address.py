@@ -184,24 +184,3 @@ def test_a_link_with_a_shared_choice_counts_on_arrival() -> None:
     app.selectbox[0].select("hopper").run()
     # Another shared choice is in the link: it is a whole view, which has the usual task.
     assert goes(app, "one", find="mine")[0] == "ant"
-
-
-def test_a_part_of_the_page_that_is_drawn_alone_writes_its_choice() -> None:
-    script = """
-import streamlit as st
-from app.parts import address
-
-@st.fragment
-def part():
-    address.choose_one(st.selectbox, "Part", ["a", "b"], "part", "a")
-
-address.enter_page("page")
-part()
-address.switch("Whole", "whole")
-"""
-    app = AppTest.from_string(script)
-    app.query_params["whole"] = "true"
-    app.run()
-    app.selectbox[0].select("b").run()
-    assert address(app) == {"whole": ["true"], "part": ["b"]}
-    assert app.toggle[0].value

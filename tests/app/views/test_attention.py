@@ -6,16 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import streamlit as st
 from numpy.typing import NDArray
 from streamlit.testing.v1 import AppTest
 from studio_pages import array, captions, draw, figures, is_chart, parts, recorded
 from studio_runs import PENDULUM_TOM
 
 from app.figures.weights import FLOOR
-from app.parts import timeline
-from app.parts.plot import Point
-from app.views.attention import _go_to
 from tom.analysis.answer import newest_share
 from tom.record import layout
 from tom.record.decode import Profiles
@@ -23,8 +19,8 @@ from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
 RECORD = f"{PENDULUM_TOM}/weights/profiles.jsonl"
-MAP, PROFILE = range(2)
-"""the page's first figures"""
+PROFILE = 1
+"""its place among the page's figures"""
 
 
 def lines(store: Path) -> list[dict[str, Any]]:
@@ -75,29 +71,6 @@ def test_the_numbers_of_a_fit_are_those_of_its_single_weights(store: Path) -> No
         }
         for label, share in expected.items():
             assert float(values[label][at].split()[0]) == pytest.approx(100 * share, abs=0.06)
-
-
-def test_panels_follow_the_timeline_with_every_fit(store: Path) -> None:
-    fits = lines(store)
-    app = draw("attention", run=PENDULUM_TOM)
-    on_map, on_profile, *others = follows(app)
-    assert on_map is not None
-    assert on_profile is not None
-    assert [*map(int, on_profile["trace"])] == [fit["env_step"] for fit in fits]
-    bins = np.array([fit["bins"] for fit in fits])
-    shown = [(of["customdata"], of["y"]) for of in on_profile["trace"].values()]
-    assert np.array([own for own, _ in shown]) == pytest.approx(bins, rel=5e-3, abs=1e-6)
-    assert np.array([y for _, y in shown]) == pytest.approx(bins.clip(FLOOR), rel=5e-3)
-    assert on_map["cursor"]  # the only line at the timeline's step
-    assert not figures(app)[MAP]["layout"].get("shapes")
-    assert others == [None] * len(others)
-
-
-def test_a_click_goes_to_the_fit_there_or_the_last_before(store: Path) -> None:
-    for x, step in ((200, 200), (249.6, 200), (10, 200)):
-        _go_to([200, 250], Point(x, 0, 0, None))
-        assert st.session_state[timeline.STEP] == step
-    del st.session_state[timeline.STEP]
 
 
 def test_a_fit_that_kept_no_single_weights_shows_the_last_that_did(own: Path) -> None:

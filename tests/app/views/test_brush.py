@@ -15,7 +15,6 @@ from studio_runs import PENDULUM_TOM, info, with_weighing
 from app.data import buffer_map, weighings
 from app.data.weighings import Brushed
 from app.figures.why import brushed_errors
-from app.views.attention.in_buffer import table
 from app.views.attention.why import brush_arguments
 from tom.analysis.brush import REGION, REST
 from tom.cli import main
@@ -140,18 +139,6 @@ def test_every_factor_has_a_point_and_what_was_not_measured_has_none() -> None:
     rows = saved(figure).iloc[-1]
     assert rows["line"].startswith("held-out, elsewhere, weight x 4: ")
     assert [rows["low"], rows["high"]] == pytest.approx(sorted(ratios))
-
-
-def test_the_weights_of_a_brush_are_named_by_file_and_column(brushed: Path) -> None:
-    run = info(brushed, PENDULUM_TOM)
-    (weighing,) = weighings.of_run(run, brush=True)
-    sources = buffer_map.sources(run)
-    assert sources[str(FIT)].option == ""
-    brush = sources["region x 4 s0, made"]
-    assert brush.option == f"{weighing.path}:region x 4-s0"
-    saved = table(run, brush)
-    np.testing.assert_array_equal(saved["weight"], brush.weight)
-    assert saved["row"].tolist() == list(range(brush.first, brush.end))
 
 
 @pytest.mark.parametrize(

@@ -134,19 +134,6 @@ def test_panels_that_another_task_lacks_are_there_on_return() -> None:
     assert len(figures(app)) == 2
 
 
-def test_a_hidden_run_or_group_counts_nowhere_and_is_in_the_address() -> None:
-    app = curves(hide=SEEDS[1])
-    assert trace(first(app), name=ALONE)["meta"] == SEEDS[0]
-    app = curves(hide="TOM")
-    assert by_learner(app).index.tolist() == ["MLE"]
-    assert all(line.get("name") != BOTH for line in first(app)["data"])
-    assert app.query_params["hide"] == "TOM"
-    app.session_state["hide"] = []  # as its eye does
-    app.run()
-    assert trace(first(app), name=BOTH)
-    assert "hide" not in app.query_params
-
-
 @pytest.mark.parametrize("part", ["Curves", "Statistics", "Settings", "Runs"])
 def test_without_any_run_to_show_the_page_stays_whole(part: str) -> None:
     app = curves(part, hide=["TOM", "MLE"])
@@ -252,17 +239,6 @@ def test_a_zoom_out_of_one_panel_leaves_the_heights_of_the_others(
     assert state[measure.ZOOM] == {"b": (3.0, 4.0)}
     measure.set_zoom(seen, "b", View((5.0, 6.0), None))
     assert state[measure.ZOOM] == {"": (5.0, 6.0), "a": (1.0, 2.0)}
-
-
-def test_a_look_at_another_part_changes_no_panel_and_no_axis() -> None:
-    app = curves(panel="weights/ess", logx="true", zoom="~10~300")
-    before = dict(app.query_params.items())
-    app.segmented_control(key="part").set_value("Statistics").run()
-    assert not app.exception
-    app.segmented_control(key="part").set_value("Curves").run()
-    assert app.multiselect(key="panel").value == ["weights/ess"]
-    assert first(app)["layout"]["xaxis"]["type"] == "log"
-    assert dict(app.query_params.items()) == before
 
 
 def test_the_timeline_is_of_the_chosen_run(store: Path) -> None:

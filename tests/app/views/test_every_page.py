@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -20,7 +19,6 @@ from app.parts import shortlinks
 from app.router import VIEWS
 from tom.errors import UserError
 from tom.record import Store, layout, manage
-from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
 PAGES = [view.name for view in VIEWS]
@@ -91,28 +89,6 @@ def test_every_part_of_every_page_is_asked_for_below() -> None:
 
 
 # Addresses
-
-
-@pytest.mark.parametrize(
-    ("view", "run", "steps", "more"),
-    [
-        ("attention", PENDULUM_TOM, lambda run: run.profiles().env_step.tolist(), {}),
-        ("attention", ROAD_TOM, RunReader.snapshot_steps, {}),
-        ("replays", ROAD_TOM, RunReader.evaluation_steps, {}),
-        ("replays", ROAD_TOM, RunReader.evaluation_steps, {"part": "Side by side"}),
-    ],
-)  # fmt: skip
-def test_a_link_with_a_step_that_was_not_kept_shows_the_one_before(
-    view: str,
-    run: str,
-    steps: Callable[[RunReader], list[int]],
-    more: dict[str, str],
-    store: Path,
-) -> None:
-    first, *others = steps(RunReader(store / run))
-    assert others
-    app = draw(view, run=run, **more, step=str(first + 1))
-    assert app.query_params["step"] == str(first)
 
 
 def test_a_link_to_a_run_shows_its_task() -> None:

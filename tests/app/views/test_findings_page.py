@@ -1,7 +1,6 @@
 """Findings: the page shows what `tom reproduce` wrote, and nothing that it did not."""
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -56,14 +55,6 @@ def test_studies_are_listed_with_their_files(reports: Path) -> None:
     assert studies.report("road", studies.FOLDER) == Path("reports/road/report.html")
     assert studies.report("progression", studies.FOLDER) is None
     assert studies.report("../reports/road", studies.FOLDER) is None
-
-
-def test_a_study_in_a_folder_of_another_name_has_its_commands_question(reports: Path) -> None:
-    (study,) = (s for s in studies.listing(studies.FOLDER) if s.name == "road")
-    other = replace(study, name="mine", origin={"command": "tom reproduce progression --out mine"})
-    assert other.question == load("progression").QUESTION
-    assert replace(other, origin={"command": "make"}).question == ""
-    assert replace(other, name="road").question == load("road").QUESTION
 
 
 def test_the_page_shows_a_studys_figures_and_numbers(reports: Path, store: Path) -> None:

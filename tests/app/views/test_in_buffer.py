@@ -1,6 +1,5 @@
 """Attention in the buffer: the map, the selection and what it chooses are the recorded rows."""
 
-import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ import torch
 from common import present
 from numpy.typing import NDArray
 from streamlit.testing.v1 import AppTest
-from studio_pages import Show, array, draw, figures, hear, in_buffer, map_of, metrics, trace
+from studio_pages import Show, draw, hear, in_buffer, map_of, metrics
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info, trains_elsewhere
 
 from app.data import buffer, buffer_map, cache, columns, why
@@ -23,7 +22,6 @@ from app.parts import timeline
 from app.scenes import control, solids
 from app.views.attention.in_buffer import row_table, table
 from tom.analysis import why as reasons
-from tom.cli import main
 from tom.envs import scene, task
 from tom.record import Store, layout
 from tom.record.export import export_small
@@ -167,21 +165,6 @@ def test_an_outline_keeps_its_rows_on_every_plane(rows: Rows, store: Path) -> No
         assert len(selected(store, outline=malformed)) == FIT
 
 
-def test_the_browser_gets_each_array_of_the_buffer(rows: Rows, store: Path) -> None:
-    given = map_of(in_buffer(run=PENDULUM_TOM, step=str(FIT)))
-    [source] = [one for one in given["sources"] if one["step"] == FIT]
-    assert (source["first"], source["count"]) == (rows.first, FIT)
-    assert published(source["url"]).tolist() == columns.weight_codes(rows.weight).tolist()
-    recorded = RunReader(store / PENDULUM_TOM).buffer()[0]
-    [angle] = [one for one in given["columns"] if one["name"] == "pole angle"]
-    back = columns.decode(published(angle["url"]), Column("", angle["low"], angle["high"]))
-    known = np.asarray(recorded.obs)[:, 1].clip(angle["low"], angle["high"])
-    assert back == pytest.approx(known, abs=1e-3)
-    last = max(one["step"] for one in given["sources"])
-    assert given["planes"][0]["key"] == f"contrast@{last}"
-    assert cache.published_array("0" * 32) is None
-
-
 def test_a_training_may_replace_its_newest_fit_before_the_browser_asks_for_it(own: Path) -> None:
     run = own / PENDULUM_TOM
     trains_elsewhere(run)
@@ -241,14 +224,6 @@ def test_a_buffer_that_was_read_ahead_is_not_read_again(
     assert map_of(in_buffer(run=PENDULUM_TOM))["planes"]
 
 
-def test_a_buffer_that_cannot_be_read_is_not_read_ahead(store: Path, tmp_path: Path) -> None:
-    copy = shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
-    *others, _ = sorted((copy / "buffer").glob("*.npz"))  # its length is that of the last
-    for segment in others:
-        segment.write_bytes(b"torn")
-    buffer_map.read_ahead(RunReader(copy))
-
-
 @pytest.mark.parametrize("count", [1, 40, 400, 5000])
 def test_the_heaviest_and_lightest_are_those_of_all_rows_in_order(rows: Rows, count: int) -> None:
     rng = np.random.default_rng(count)
@@ -290,21 +265,6 @@ def test_a_chosen_row_stays_chosen_while_an_earlier_fit_is_shown(store: Path) ->
 # Why this weight: the page's sum is the weight that is recorded
 
 
-@pytest.fixture
-def weighed(store: Path, tmp_path: Path, show: Show) -> Path:
-    """A store with a weighing of the pendulum at a fit whose policy was kept."""
-    there = tmp_path / "store"
-    shutil.copytree(store, there, copy_function=os.link)
-    step = RunReader(there / PENDULUM_TOM).policy_steps()[-1]
-    words = [
-        "weigh", PENDULUM_TOM, "--policy", PENDULUM_TOM, "--step", str(step), "--learner", "tom",
-        "--seeds", "0", "--footprint", "100", "--store", str(there), "--matmul", "default",
-    ]  # fmt: skip
-    assert main(words) == 0
-    show(there)
-    return there
-
-
 def of_fit(run: RunReader, fit: int = FIT) -> tuple[Rows, why.Why]:
     """The rows of a fit, and why they have their weights."""
     rows, found = asked(run, fit)
@@ -323,19 +283,6 @@ def test_a_kept_fit_has_the_terms_of_its_weights(store: Path) -> None:
     assert len(found.policy_rows) == 100  # 200 steps of exploration came before
     for row in range(0, FIT, 17):
         assert found.sum_of(row).weight == pytest.approx(rows.weight[row], abs=1e-5)
-
-
-def test_a_weighing_has_the_terms_of_its_weights(weighed: Path) -> None:
-    run = info(weighed, PENDULUM_TOM)
-    (source,) = buffer_map.weighing_sources(run).values()
-    rows = present(buffer.weighed_rows(run, source.weight, source.end))
-    found = why.why_of(run, source)
-    assert isinstance(found, why.Why)
-    for row in range(0, len(rows), 17):
-        assert found.sum_of(row).weight == pytest.approx(source.weight[row], abs=1e-5)
-    assert len(found.policy_rows) == 100
-    near = why.neighbours(rows, found, 5)
-    assert (near.near.distance.diff() >= 0).all()
 
 
 def test_a_fits_own_rows_are_not_compared_with_themselves(store: Path) -> None:
@@ -388,16 +335,6 @@ def test_starts_of_rollouts_are_drawn_as_the_run_draws_them(tmp_path: Path) -> N
         share = 0.0 if learner == "vagram" else 0.5
         expected = 1000 / 300 * (1 + share * (rows.weight[row] - 1))
         assert why.starts(run, rows, row) == pytest.approx((expected, 1000 / 300), rel=1e-4)
-
-
-def test_the_page_says_why(rows: Rows, store: Path) -> None:
-    row = int(rows.weight.argmax())
-    app = draw("attention", run=PENDULUM_TOM, step=str(FIT), row=str(row))
-    bars = next(f for f in figures(app) if f["data"][0]["type"] == "waterfall")
-    values = array(trace(bars, type="waterfall")["y"])
-    assert values[-1] == pytest.approx(rows.weight[row], abs=1e-5)
-    assert any("start in this state" in c.value for c in app.caption)
-    assert any("standard deviations over" in c.value for c in app.caption)
 
 
 def test_every_neighbour_has_a_column_however_near_to_the_next(store: Path) -> None:

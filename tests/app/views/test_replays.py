@@ -46,10 +46,6 @@ def test_a_replay_is_the_recorded_episode_and_a_ghost(run: RunReader) -> None:
     assert len(replay.error) == episode.length
 
 
-def test_the_ghost_of_one_step_is_nearer_than_that_of_many(run: RunReader) -> None:
-    assert loaded(run, 400, 1).error.mean() < loaded(run, 400, 50).error.mean()
-
-
 def test_a_dimension_that_stands_still_has_no_part_in_the_distance(run: RunReader) -> None:
     whole = loaded(run, 400)
     still, off = np.zeros((len(whole.real), 1), np.float32), np.ones((len(whole.real), 1))
@@ -145,12 +141,6 @@ def test_an_episode_is_shown_in_rerun_and_one_that_is_not_there_is_none(
     assert viewers.episode(str(store), "../etc", 400, 0, 25) is None
     assert replays.load(run, 400, 99, 10) is None
     assert replays.load(run, 401, 0, 10) is None
-
-
-@pytest.mark.usefixtures("with_viewers")
-def test_all_that_a_run_has_recorded_is_shown_in_rerun() -> None:
-    app = draw("replays", run=ROAD_TOM, part="Rerun")
-    assert asked_of_rerun(app) == f"/rrd/{ROAD_TOM}/run.rrd"
 
 
 def asked_of_rerun(app: AppTest) -> str:

@@ -2,14 +2,12 @@
 
 import json
 import os
-import shutil
 import time
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
 import pytest
-from common import change
 from streamlit.testing.v1 import AppTest
 from studio_pages import TIMEOUT_S, Show, draw, recorded
 from studio_runs import (
@@ -24,10 +22,9 @@ from studio_runs import (
 from app.data import trainings
 from app.data.trainings import Started
 from app.parts import jobs, start
-from app.parts.start import MAX_NAMED, card_heading, main_numbers, settings_line
+from app.parts.start import main_numbers
 from tom.record import layout
 from tom.record.lock import acquire
-from tom.training.presets import resolve
 
 pytestmark = pytest.mark.usefixtures("studio")
 SECOND = "pendulum-tom-1"
@@ -65,21 +62,6 @@ def test_a_training_that_was_asked_to_stop_is_not_asked_again(
     app.run()
     assert asked == [SECOND]
     assert not [button for button in app.button if (button.key or "").startswith("stop ")]
-
-
-def test_a_card_names_the_preset_and_the_settings_of_its_own(own: Path) -> None:
-    usual = resolve("inverted-pendulum", "tom", "mended").model_dump(mode="json")
-    units = usual["model"]["hidden"]
-    for name, preset, hidden in (("a", "paper", 8), ("b", "mended", 8), ("c", "mended", units)):
-        folder = shutil.copytree(own / PENDULUM_TOM, own / name)
-        chosen = {**usual, "model": {**usual["model"], "hidden": hidden}}
-        change(folder / layout.CONFIG, run_id=name, preset=preset, config=chosen)
-    runs = {name: info(own, name) for name in "abc"}
-    assert "TOM paper" in card_heading(runs["a"], "paper")
-    assert settings_line(runs["b"]) == "model.hidden 8"
-    assert settings_line(runs["c"]) == ""
-    assert settings_line(runs["a"]).endswith(" more")
-    assert len(settings_line(runs["a"]).split(", ")) == MAX_NAMED + 1
 
 
 def test_a_run_that_only_explores_has_no_speed(own: Path) -> None:
