@@ -20,7 +20,7 @@ from streamlit.testing.v1 import AppTest
 
 from app.links import Links
 from app.parts import plot
-from app.scenes.control import Clock, Selection, clock, listen
+from app.scenes.control import Selection, clock, listen
 from app.servers.browser import chromium
 from tom.record.reader import RunReader
 
@@ -47,11 +47,7 @@ def set_links(links: Links, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, value)
 
 
-def hear(
-    control: str,
-    select: Callable[[str, Selection], None],
-    clock_of: Callable[[str], Clock | None] = lambda _: None,
-) -> None:
+def hear(control: str, select: Callable[[str, Selection], None]) -> None:
     """Listen on the socket as a scene server does, from now on."""
 
     def answers() -> bool:  # the socket's file is there a moment before
@@ -60,7 +56,7 @@ def hear(
             return True
         return False
 
-    Thread(target=listen, args=(control, select, clock_of), daemon=True).start()
+    Thread(target=listen, args=(control, select, lambda _: None), daemon=True).start()
     wait_for(answers)
 
 

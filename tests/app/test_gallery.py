@@ -1,24 +1,20 @@
-"""The gallery in runs/: whole, small, told of in its README, and shown by every page."""
+"""The gallery in runs/: whole, small, told of in its README; its statistics leave SAC out."""
 
 import shutil
 from pathlib import Path
 
-import pandas as pd
 import pytest
-from studio_pages import Show, array, draw, figures, map_of, trace
+from studio_pages import Show, draw
 
 from app.data import studies
-from app.data.buffer import has_model
-from app.figures.weights import FLOOR
 from app.views.curves.numbers import NO_SAC
-from tom import readable
-from tom.record import RunReader, Store
-from tom.record.files import read_json, size_of
+from tom.record import Store
+from tom.record.files import size_of
 from tom.record.integrity import verify
 from tom.record.layout import STUDIES
 from tom.reports.index import index, small_copies
 from tom.reports.report import run_hours
-from tom.reports.weighing_files import REPORT, of_run
+from tom.reports.weighing_files import of_run
 
 RUNS = Path(__file__).parents[2] / "runs"
 README = RUNS / "README.md"
@@ -26,25 +22,14 @@ BYTES = 30_000_000
 
 COPIES = small_copies(Store(RUNS))
 WEIGHINGS = [path for run in COPIES for path in of_run(RUNS, run.run_id)]
-TRAINED = [run for run in COPIES if run.learner != "sac"]
-RICHEST = {run.env: run for run in sorted(TRAINED, key=lambda run: size_of(run.path))}
-"""of each task the training that kept most"""
-SHOWN = pytest.mark.parametrize("run", [RICHEST["hopper"], RICHEST["inverted-pendulum"]])
-
-
-@pytest.fixture(scope="module")
-def gallery(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The gallery alone, without what else lies in runs/."""
-    store = tmp_path_factory.mktemp("gallery")
-    for path in (*(run.path for run in COPIES), *WEIGHINGS):
-        shutil.copytree(path, store / path.relative_to(RUNS))
-    return store
 
 
 @pytest.fixture
-def shown(gallery: Path, show: Show) -> Path:
-    show(gallery)
-    return gallery
+def shown(tmp_path: Path, show: Show) -> None:
+    """Pages show the gallery alone, without what else lies in runs/."""
+    for path in (*(run.path for run in COPIES), *WEIGHINGS):
+        shutil.copytree(path, tmp_path / path.relative_to(RUNS))
+    show(tmp_path)
 
 
 def test_every_run_is_whole_and_says_how_it_was_made() -> None:
@@ -92,37 +77,3 @@ def test_statistics_compare_no_recording_of_sac() -> None:
     assert NO_SAC in [caption.value for caption in app.caption]
     assert not any("nothing was recorded" in caption.value for caption in app.caption)
     assert not any("SAC" in name for name in app.dataframe[0].value["group"])
-
-
-@SHOWN
-@pytest.mark.usefixtures("shown")
-def test_attention_draws_its_last_fit_and_its_buffer(run: RunReader) -> None:
-    app = draw("attention", run=run.run_id, rows="true")
-    profile = array(figures(app)[1]["data"][0]["y"])
-    assert profile == pytest.approx(run.profiles().bins[-1].clip(FLOOR))
-    weight = run.snapshot(run.snapshot_steps()[-1])["weight"]
-    assert map_of(app)["sources"][-1]["count"] == len(weight)
-    heaviest = app.dataframe[0].value["weight"].to_numpy().max()
-    assert float(heaviest) == pytest.approx(weight.max(), rel=1e-3)
-
-
-@SHOWN
-@pytest.mark.usefixtures("shown")
-def test_replays_plays_its_last_episode(run: RunReader) -> None:
-    app = draw("replays", run=run.run_id)
-    shown = {metric.label: metric.value for metric in app.metric}
-    episode = run.episodes(run.evaluation_steps()[-1])[0]
-    assert shown["return"] == readable.score(episode.undiscounted_return)
-    assert (shown["return, imagined"] != "-") == has_model(run)
-
-
-@pytest.mark.usefixtures("shown")
-def test_a_weighing_of_it_is_shown() -> None:
-    path = WEIGHINGS[0]
-    report, part = read_json(path / REPORT), "Every learner on one buffer"
-    app = draw("attention", run=report["data"], part=part, weighed=path.name)
-    table = pd.read_csv(path / "profile.csv")
-    for learner, of in table.groupby("learner"):
-        line = trace(figures(app)[0], meta=str(learner))
-        medians = of.groupby("bin")["mean_weight"].median().to_numpy()
-        assert array(line["customdata"]) == pytest.approx(medians, rel=1e-2, abs=1e-3)

@@ -18,17 +18,9 @@ from app.guard import Guard
 from app.links import Links
 from app.servers.pages import LARGEST_FIGURE, options, routes
 from app.servers.viewers import EPISODE, recording_path
-from app.theme import Mode
 
-MODES: tuple[Mode, ...] = ("dark", "light")
 LINKS = Links(store="/runs", port=8600, base="/x/", folder="/f", key="k")
 SERVED = Starlette(routes=routes(LINKS))
-
-
-def test_links_survive_the_environment(monkeypatch) -> None:
-    for name, value in LINKS.environment().items():
-        monkeypatch.setenv(name, value)
-    assert Links.from_environment() == LINKS
 
 
 @pytest.mark.parametrize(
@@ -42,12 +34,6 @@ def test_rerun_shows_recordings_that_lie_beside_its_page(names: list[str]) -> No
     assert recordings == [f"/x/rrd/a%20b/{name}" for name in names]
     wanted = EPISODE.fullmatch(names[0])
     assert (wanted and wanted.groups()) in (None, ("400", "1", "25"))
-
-
-def test_a_viser_frame_carries_the_name_of_its_page_and_is_dark_at_once() -> None:
-    dark, light = (LINKS.viser("abc", mode) for mode in MODES)
-    assert urlsplit(light).path == "/x/viser/abc/"
-    assert dark == f"{light}&darkMode"
 
 
 def test_a_wildcard_is_reached_by_the_loopback() -> None:
@@ -230,11 +216,8 @@ def test_a_figure_for_a_paper_is_a_file() -> None:
     [
         ("kind=pdf&width=one", b"nonsense"),
         ("kind=pdf&width=one", b"[" * 100_000),
-        ("kind=pdf&width=one", b"[1]"),
         ("kind=pdf&width=one", a_figure(axes={})),
-        ("kind=pdf&width=one", a_figure(traces=[{"axes": "none"}])),
         ("kind=pdf&width=one", a_figure(axes={"xy": {"x": HUGE, "y": HUGE}})),
-        ("kind=pdf&width=one", a_figure(ratio="wide")),
         ("kind=pdf&width=1000", a_figure()),
         ("kind=exe&width=one", a_figure()),
         ("", a_figure()),

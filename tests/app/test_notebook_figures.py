@@ -29,14 +29,3 @@ def test_a_runs_figures_are_those_of_the_pages(store: Path):
     frame = tom.load(PENDULUM_TOM, store).metrics["eval/return"].dropna()
     assert array(curve["x"]).tolist() == frame.index.tolist()
     assert array(curve["y"]) == pytest.approx(frame.to_numpy())
-
-
-def test_a_weighings_figures_are_those_of_the_pages(store: Path):
-    found = tom.weigh(
-        PENDULUM_TOM, "random", learners=["pmac", "mle"], seeds=[0], footprint=50, store=store
-    )
-    shown = tom.studio.show(found)
-    named = {line.get("name"): line for line in lines(shown["profiles"])}
-    assert set(named) == {"PMAC (1 seed)", "MLE (1 seed)"}
-    means = [part.mean() for part in np.array_split(found.weights["pmac-s0"], 100)]
-    assert array(named["PMAC (1 seed)"]["customdata"]) == pytest.approx(np.array(means))

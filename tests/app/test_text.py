@@ -38,12 +38,6 @@ def test_an_address_is_no_link(escaped: Callable[[object], str], address: str) -
     assert literal.replace("\u2060", "") == address
 
 
-def test_a_number_is_not_parted_from_its_unit() -> None:
-    words = "95 % of 20 rows in 3 s, 5 subjects"
-    expected = "95\u00a0% of 20 rows in 3\u00a0s, 5 subjects"
-    assert text.unbroken(words) == text.markdown(words) == expected
-
-
 def test_plotly_has_no_tags() -> None:
     assert text.plotly('<a href="x">y</a>\nz') == "&lt;a href=&quot;x&quot;&gt;y&lt;/a&gt; z"
 

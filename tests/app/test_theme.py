@@ -16,12 +16,10 @@ from app.theme import (
     NEUTRAL,
     QUALITATIVE,
     SURFACE,
-    SYMBOLS,
     TEXT,
     Mode,
     contrast,
     learner_colour,
-    learner_symbol,
     linear_light,
     ramp,
     rgb,
@@ -51,13 +49,6 @@ def lab(intensity: np.ndarray) -> np.ndarray:
     share = np.cbrt(np.maximum(TO_XYZ @ np.clip(intensity, 0, 1) / white, 0.008856))
     x, y, z = share
     return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
-
-
-def test_more_learners_than_markers_share_markers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A plug-in's learner may be registered before this module is imported."""
-    for i in range(len(SYMBOLS) + 2):
-        monkeypatch.setitem(LEARNER_COLOURS, f"own {i}", "#000000")
-    assert {learner_symbol(name) for name in LEARNER_COLOURS} == set(SYMBOLS)
 
 
 def test_a_newcomer_in_the_registry_gets_a_spare_colour(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -144,15 +144,6 @@ def test_every_option_setting_and_metric_exists():
     assert seen == {"option", "setting", "metric"}
 
 
-def test_every_picture_is_shown_somewhere():
-    shown = {
-        (page.parent / link).resolve() for page in PAGES for link in LINK.findall(page.read_text())
-    }
-    assert {
-        path for path in (ROOT / "docs/images").iterdir() if path.resolve() not in shown
-    } == set()
-
-
 def test_the_commands_are_really_found():
     found = {command.split()[0] for _, command in commands()}
     assert {"train", "studio", "sweep", "runs", "reproduce", "demo", "doctor"} <= found

@@ -2,7 +2,6 @@
 
 import re
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -44,11 +43,6 @@ def answers(port: int, path: str = "/") -> bool:
         return False
     finally:
         connection.close()
-
-
-def is_taken(port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def command_of(pid: int) -> str:

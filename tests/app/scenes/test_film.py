@@ -2,20 +2,18 @@
 
 import base64
 import re
-import shutil
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 from loops import of_two
-from studio_pages import draw
+from studio_pages import draw, in_browser
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import readers
-from app.scenes.film import cinema, ghost_film, has_story, robot_shapes, story
+from app.scenes.film import cinema, has_story, robot_shapes, story
 from app.servers.cinema import film_tab, video
-from tom.envs import task
 from tom.envs.scene import Model, model
 from tom.errors import UserError
 from tom.record.manage import label
@@ -88,15 +86,6 @@ def test_road_and_rocks_and_runs_without_a_buffer_have_no_story(store: Path) -> 
         story(info(store, ROAD_TOM))
 
 
-def test_ghosts_stand_beside_the_episode() -> None:
-    qpos = np.zeros((5, 6), np.float32)
-    qpos[:, 1] = 1.25
-    kept = {"real": qpos, "x1": qpos, "x0": qpos, "dt": np.array(0.008)}
-    page = ghost_film((task("hopper"), model("hopper")), kept, 0.0, "region x 0", "tom", "light")
-    assert page.count('"name":') == 3
-    assert "region x 0" in page
-
-
 def test_the_page_offers_the_film_under_the_name_that_the_run_has_now(own: Path) -> None:
     app = draw("replays", run=PENDULUM_TOM, part="Film", length="30 s")
     assert any("at half speed" in caption.value for caption in app.caption)
@@ -106,8 +95,7 @@ def test_the_page_offers_the_film_under_the_name_that_the_run_has_now(own: Path)
     assert '"title":"the long one"' in film.proto.srcdoc
 
 
-@pytest.mark.browser
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium")
+@in_browser
 def test_the_film_plays_without_a_server_and_becomes_an_mp4(store: Path) -> None:
     run = info(store, PENDULUM_TOM)
     page = cinema(story(run), run.learner, "light", 20.0)

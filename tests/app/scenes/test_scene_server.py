@@ -12,7 +12,6 @@ import pytest
 import viser
 from common import present
 from kernel import wait_for
-from studio_pages import hear
 from studio_runs import PENDULUM_TOM, ROAD_TOM
 from viser import _messages
 from viser.transforms import SO3
@@ -29,7 +28,6 @@ from app.scenes.control import (
     RoadChoice,
     Selection,
     StatesChoice,
-    clock,
 )
 from app.scenes.frame import Frame
 from app.scenes.replay import ReplayFrame
@@ -157,15 +155,6 @@ def test_after_the_fits_have_played_the_timelines_is_shown(
         assert frame._drawn == [(ROAD_TOM, last)]
         frame.play.value = False
         wait_for(lambda: frame._drawn == [(ROAD_TOM, first)], 10)
-
-
-def test_a_page_asks_over_its_socket(tmp_path: Path) -> None:
-    path, told = str(tmp_path / "control"), {"page": Clock(7, playing=True, request=4)}
-    hear(path, print, told.get)
-    assert clock(path, "page") == told["page"]
-    assert clock(path, "another") is None
-    with pytest.raises(FileNotFoundError):
-        clock(str(tmp_path / "none"), "page")
 
 
 def test_a_tab_left_while_its_frame_is_built_leaves_none(

@@ -4,15 +4,12 @@ import base64
 import queue
 import re
 import socket
-from collections.abc import Iterator
 from multiprocessing.connection import Client
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
-import viser
-import viser.transforms
 import zstandard
 from common import present
 from studio_pages import hear
@@ -28,8 +25,7 @@ from app.scenes.control import (
     StatesChoice,
     send_selection,
 )
-from app.scenes.road import FRAME_S, LAYERS, REST_S, STRIDE, RoadScene, as_html
-from tom.machine.address import free_port
+from app.scenes.road import FRAME_S, REST_S, STRIDE, as_html
 from tom.record.reader import RunReader
 
 
@@ -60,37 +56,6 @@ def test_height_and_colour_grow_with_the_weight_and_an_empty_cell_is_clear() -> 
     flat = scene.cells(grid, "light")
     assert flat[0, 3].tolist() == [194, 44, 6, 235]
     assert flat[..., 3].sum() == 4 * 235
-
-
-def test_lines_become_segments() -> None:
-    line = np.array([[0, 0], [1, 0], [1, 1]])
-    assert scene.segments([line, line[:1]], 0.5).tolist() == [
-        [[0, 0, 0.5], [1, 0, 0.5]],
-        [[1, 0, 0.5], [1, 1, 0.5]],
-    ]
-    assert scene.segments([], 0).shape == (0, 2, 3)
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[viser.ViserServer]:
-    made = viser.ViserServer("127.0.0.1", free_port("127.0.0.1"), verbose=False)
-    yield made
-    made.stop()
-
-
-def test_a_fit_takes_the_place_of_another(
-    server: viser.ViserServer, picture: road.Picture, store: Path
-) -> None:
-    drawn = RoadScene(server.scene, picture, "light", 0, "TOM")
-    before = drawn.layers["columns"][0]
-    other = present(road.picture(RunReader(store / ROAD_MLE), 60))
-    drawn.update(other)
-    assert drawn.layers["columns"][0] is not before
-    assert set(drawn.layers) == {name for name, _, _ in LAYERS}
-    drawn.show({"columns": False, "flat": True, "cars": False})
-    assert not drawn.layers["columns"][0].visible
-    assert drawn.layers["flat"][0].visible
-    assert not any(car.node.visible for car in drawn.cars)
 
 
 def test_the_export_is_one_page_with_every_fit(picture: road.Picture, store: Path) -> None:

@@ -1,41 +1,18 @@
-"""The store that `tom bench studio` measures with, and what its rows say."""
+"""What `tom bench studio` is asked for, and what its rows say."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from studio_pages import in_browser
 
-from app.data import readers
 from app.servers import browser_bench
-from app.servers.bench import (
-    KINDS,
-    METRICS,
-    POINTS,
-    main,
-    make_run,
-    make_store,
-)
+from app.servers.bench import KINDS, main, make_run
 from tom.cli import bench
 from tom.cli import main as tom
-
-
-@pytest.mark.slow
-def test_the_store_is_as_large_as_the_measurement_says(tmp_path: Path) -> None:
-    make_store(tmp_path, len(KINDS) + 2)
-    listing = readers.listing(str(tmp_path))
-    assert listing.problems == ()
-    assert {(run.env, run.learner, run.seed) for run in listing.runs} == {
-        *((env, learner, 0) for env, learner, _ in KINDS),
-        *((env, learner, 1) for env, learner, _ in KINDS[:2]),
-    }
-    for run in listing.runs:
-        assert readers.metrics(run).shape == (POINTS, METRICS + 1)
-        assert len(readers.profiles(run).env_step) == POINTS
-        assert readers.problems(run) == []
 
 
 def test_the_number_of_runs_reaches_the_measurement(
@@ -63,8 +40,7 @@ def test_memory_and_processor_seconds_are_those_of_all_processes_below() -> None
         os.killpg(process.pid, signal.SIGKILL)
 
 
-@pytest.mark.browser
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium")
+@in_browser
 def test_the_bench_of_the_map_measures_a_buffer(tmp_path: Path) -> None:
     found = list(browser_bench.measure_map(tmp_path, {400: make_run(tmp_path, 400)}))
     assert len(found) == 5
