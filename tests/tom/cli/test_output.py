@@ -46,10 +46,3 @@ def test_a_resumed_run_goes_on_from_its_returns():
     first, second = shown.getvalue().splitlines()
     assert re.findall(r"[\d.]+$|return [\d.]+", first) == ["return 9.5", "13.0"]
     assert re.findall(r"[\d.]+$|return [\d.]+", second) == ["return 3.0", "13.0"]
-
-
-def test_the_first_step_says_no_rate():
-    shown = io.StringIO()
-    with ProgressReport("hopper", 1, shown) as report:
-        report.consume(Tick(1, "optimise"))
-    assert shown.getvalue() == "hopper 1/1 optimise\n"

@@ -128,7 +128,6 @@ def test_export_prune(store: Path, capsys, tmp_path: Path):
     ("words", "named"),
     [
         (["show", "three"], "no run 'three'"),
-        (["lst"], "lst"),
         (["export", "one", "--small", "--format", "csv"], "--format and --small"),
         (
             ["export", "one", "--small", "--keep", "buffer", "--without", "buffer"],

@@ -23,7 +23,6 @@ SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", 
         (signal.SIG_DFL, (INT, INT), 2),
         (signal.SIG_DFL, (HUP, HUP), 1),  # a terminal that closes
         (signal.SIG_DFL, (TERM, HUP), 1),  # the end of a session
-        (signal.SIG_DFL, (HUP, TERM), 1),
         (signal.SIG_DFL, (TERM, TERM), 1),  # from a batch system and from the sweep
         (signal.SIG_DFL, (TERM, INT), 2),
         (signal.SIG_IGN, (HUP,), 0),  # nohup stays nohup

@@ -6,7 +6,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import gymnasium as gym
-import h5py
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -200,27 +199,6 @@ def test_at_a_step_a_runs_own_settings_hold(tmp_path: Path, capsys):
         assert json.loads(capsys.readouterr().out)["config"]["pmac"]["decay"] == decay
     found = pq.read_table(tmp_path / "out-0.9" / "weights.parquet")["pmac-s0"].to_numpy()
     np.testing.assert_allclose(found, run.snapshot(step)["weight"].to_numpy(), rtol=1e-5)
-
-
-def write_d4rl(path: Path, run: RunReader, scale: float) -> Path:
-    rows = run.buffer()[0].numpy()
-    with h5py.File(path, "w") as file:
-        file["observations"], file["next_observations"] = rows.obs, rows.next_obs
-        file["actions"] = np.asarray(rows.action) * scale
-        file["rewards"], file["terminals"] = rows.reward, rows.terminated
-        file["timeouts"] = rows.truncated
-    return path
-
-
-def test_a_d4rl_file_in_the_tasks_own_units(store: Path, tmp_path: Path):
-    run = RunReader(store / "sac")
-    path = write_d4rl(tmp_path / "pendulum.hdf5", run, scale=3.0)  # InvertedPendulum: +-3
-    data = load_data(str(path), Store(store), "inverted-pendulum")
-    np.testing.assert_allclose(data.transitions.action, run.buffer()[0].action, atol=1e-6)
-    assert data.ordered_from == 0
-    out = tmp_path / "out"
-    assert weigh(store, str(path), "--policy", "sac", "--seeds", "0", "--out", str(out)) == 0
-    assert json.loads((out / "report.json").read_text())["results"][0]["random_mean"] is None
 
 
 def test_shuffled_rows_come_back_in_order(store: Path):

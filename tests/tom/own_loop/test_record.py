@@ -301,12 +301,13 @@ def test_what_does_not_fit_is_left_out_in_one_line(strict: bool, tmp_path: Path)
     assert strict or "not-recorded" in {n["code"] for n in found.reader.notices()}
 
 
+def full(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
 def test_a_full_disk_ends_the_record_and_not_the_loop(tmp_path: Path, monkeypatch):
     run = record("mine", env="Pendulum-v1", store=tmp_path)
     run.transitions([0, 0, 0], [0], 0, [1, 0, 0], False, False)
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(np, "savez", full)
     with pytest.warns(UserWarning, match="No space left"):
@@ -339,9 +340,6 @@ class Module(torch.nn.Module):
 def test_a_record_that_a_full_disk_ends_names_no_command_that_refuses_it(tmp_path, monkeypatch):
     run = record("mine", env="Pendulum-v1", store=tmp_path)
     run.transitions([0, 0, 0], [0], 0, [1, 0, 0], False, False)
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(np, "savez", full)
     run.close()

@@ -148,7 +148,7 @@ def here(tmp_path: Path, record) -> Store:
 
 
 def test_a_fetch_that_ends_between_two_renames_loses_nothing(
-    here: Store, store: Store, bucket_url: str, monkeypatch: pytest.MonkeyPatch
+    here: Store, store: Store, bucket: Bucket, monkeypatch: pytest.MonkeyPatch
 ):
     fetched = shutil.copytree(store.path / "run", here.path / ".run.1.tmp")
     into_trash = manage.into_trash
@@ -164,7 +164,6 @@ def test_a_fetch_that_ends_between_two_renames_loses_nothing(
     assert (here.names(), manage.trashed(here)) == ([], ["run"])
     manage.restore(here, "run")
     assert (here.run("run").status.state, here.run("run").labels.tags) == ("stopped", ("mine",))
-    bucket = Bucket.open(bucket_url)
     Attempt.claim(bucket, "run").put(store.path / "run")
     assert fetch_run(bucket, "run", here) == FETCHED
     assert here.run("run").status.state == "finished"
@@ -172,10 +171,9 @@ def test_a_fetch_that_ends_between_two_renames_loses_nothing(
     assert manage.trashed(here) == []
 
 
-def test_another_run_of_that_name_is_kept_in_the_trash(here: Store, store: Store, bucket_url: str):
+def test_another_run_of_that_name_is_kept_in_the_trash(here: Store, store: Store, bucket: Bucket):
     """It may have been trained here, with the settings of the one in the object store."""
     change(here.path / "run" / "config.json", created="2026-01-01T00:00:00+00:00")
-    bucket = Bucket.open(bucket_url)
     Attempt.claim(bucket, "run").put(store.path / "run")
     assert fetch_run(bucket, "run", here) == FETCHED_ANEW
     assert (here.run("run").created, here.run("run").labels.tags) == (store.run("run").created, ())

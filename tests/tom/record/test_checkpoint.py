@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from common import cut, flip, present
+from common import cut, present
 
 from tom.record import checkpoint
 
@@ -25,13 +25,11 @@ def test_round_trip_and_only_two_are_kept(tmp_path: Path):
     assert loaded.unusable == {}
 
 
-@pytest.mark.parametrize("damage", ["flip", "truncate", "no manifest", "newer schema"])
+@pytest.mark.parametrize("damage", ["truncate", "no manifest", "newer schema"])
 def test_a_damaged_checkpoint_is_named_and_the_previous_one_used(tmp_path: Path, damage: str):
     checkpoint.save(tmp_path, 1, state(1))
     path = checkpoint.save(tmp_path, 2, state(2))
     match damage:
-        case "flip":
-            flip(path / "state.pt", (path / "state.pt").stat().st_size // 2)
         case "truncate":
             cut(path / "state.pt")
         case "no manifest":

@@ -17,7 +17,6 @@ from common import change, present
 from recorded import ACTION, FIT, STEPS, Config, episodes, events, transitions
 from tensorboardX.proto import event_pb2
 
-from tom.analysis.imagine import stored_model
 from tom.errors import TRY_LATER, UserError
 from tom.events import Collected, Evaluation, Field, KeptPolicy, Metrics, Tick, Weights
 from tom.record import RunReader, Store, checkpoint, decode, layout, manage
@@ -27,7 +26,7 @@ from tom.record.integrity import verify
 from tom.record.recorder import Recorder
 from tom.record.rerun import viewer
 from tom.record.rerun.feed import Tail
-from tom.record.thin import OPTIONAL, coarse, half
+from tom.record.thin import coarse, half
 from tom.record.writer import RunWriter
 
 Event = vars(event_pb2)["Event"]
@@ -279,26 +278,6 @@ def test_all_that_a_copy_lacks_is_named_also_in_a_copy_of_it(record, tmp_path: P
     assert (few.snapshot_steps(), few.evaluation_steps()) == ([], [])
     assert {"snapshots", "evaluations"} <= {*few.left_out}
     assert verify(few) == []
-
-
-def test_a_copy_without_small_parts_says_so_and_reads_well(record, tmp_path: Path):
-    rows, weight = transitions(0, 9), np.ones(9, np.float32)
-    run = record(
-        given=[
-            Collected(1, rows, np.zeros(9, np.int64)),
-            Weights(100, weight, policy={"weight_0": weight}),
-        ]
-    )
-    checkpoint.save(run.path / checkpoint.FOLDER, 9, {"training": {"coefficients": torch.ones(3)}})
-    assert run.left_out == ()
-    copy = RunReader(export_small(run, tmp_path / "b", without=[*OPTIONAL]))
-    assert copy.left_out == ("buffer", "model", "policies", "checkpoint")
-    with pytest.raises(UserError, match="left out of this small copy"):
-        stored_model(copy)
-    assert (len(copy.buffer()[0]), copy.policy_steps()) == (0, [])
-    assert verify(copy) == []
-    again = RunReader(export_small(copy, tmp_path / "c", without=[*OPTIONAL]))
-    assert again.left_out == copy.left_out
 
 
 def test_policies_are_kept_of_a_run_that_weighs_nothing(record, tmp_path: Path):

@@ -57,17 +57,6 @@ def test_json_holds_null_for_what_is_not_finite(tmp_path):
     }
 
 
-def test_a_row_is_one_line_and_reads_back(tmp_path):
-    lines = JsonLines(tmp_path / "m")
-    lines.append({"env_step": 1, "loss": -np.inf})
-    lines.append({"env_step": 2, "loss": np.float32(0.5)})
-    lines.close()
-    assert read_json_lines(tmp_path / "m") == (
-        [{"env_step": 1, "loss": None}, {"env_step": 2, "loss": 0.5}],
-        [],
-    )
-
-
 def test_half_a_last_line_is_skipped_by_readers_and_cut_off_by_the_next_writer(tmp_path):
     path = tmp_path / "m"
     path.write_bytes(b'{"env_step":1}\n{"env_st')

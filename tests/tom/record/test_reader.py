@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from common import change, cut
+from common import cut
 from recorded import FIT, STEPS
 
 from tom.record import RunReader
@@ -77,15 +77,6 @@ def test_a_damaged_status_is_unknown(record):
         assert problem(damaged).startswith("status.json")
 
 
-@pytest.mark.parametrize(("age", "shown"), [(0, "running"), (20, "running"), (31, "dead")])
-def test_a_run_whose_heart_stopped_is_dead(record, age: float, shown: str):
-    run = record()
-    beat = RunReader(run.path).status.heartbeat - age
-    change(run.path / "status.json", state="running", heartbeat=beat)
-    assert run.status.shown == shown
-    assert run.status.alive == (shown == "running")
-
-
 def test_the_version_of_a_part_changes_with_its_files_alone(record):
     run = record()
     parts: dict[tuple, str] = {
@@ -109,16 +100,6 @@ def test_the_version_of_a_part_changes_with_its_files_alone(record):
         with path.open("ab") as changed:
             changed.write(b"more")
         assert {one for one in before if run.version(*one) != before[one]} == {part}
-
-
-def test_what_is_not_there_is_empty(tmp_path):
-    run = RunReader(tmp_path / "nothing")
-    assert (run.env, run.learner, run.seed, run.created) == ("?", "?", 0, "")
-    assert len(run.metrics()) == len(run.snapshot(1)) == len(run.profiles().bins) == 0
-    assert len(run.buffer()[0]) == 0
-    assert run.episodes(1) == run.snapshot_steps() == run.notices() == run.rrd_files() == []
-    assert run.field("map", 1) == {}
-    assert run.status.state == "unknown"
 
 
 def test_recordings_are_in_the_order_they_were_written(record):

@@ -2,7 +2,6 @@ import threading
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from common import recorded
 from kernel import wait_for
 from recorded import (
@@ -17,13 +16,11 @@ from recorded import (
     weights,
 )
 
-from tom.config import OnlineConfig
-from tom.errors import TryLaterError
 from tom.events import Collected, Metrics, Tick, Weights
-from tom.record import Store, lock
+from tom.record import Store
 from tom.record import recorder as recorder_module
 from tom.record.recorder import Recorder
-from tom.record.writer import RunWriter, TakenError
+from tom.record.writer import RunWriter
 
 EVERY_FIT = list(range(FIT, STEPS + 1, FIT))
 POLICY = {"weight_0": np.ones((2, 3), np.float32)}
@@ -179,34 +176,6 @@ def test_going_back_to_a_mark_leaves_nothing_of_what_came_after(store: Store):
     assert run.problems == []
 
 
-def test_fields_and_notices_come_back(record):
-    run = record()
-    assert run.field_names() == ["map"]
-    assert run.field_steps("map") == [EVALUATE, STEPS]
-    np.testing.assert_array_equal(run.field("map", STEPS)["gain"], np.full((2, 3), STEPS))
-    assert run.notices()[0] == {
-        "env_step": EVALUATE,
-        "code": "weights",
-        "message": "all of them are zero",
-    }
-
-
-def test_config_says_what_was_run_and_with_what(record):
-    run = record()
-    assert (run.env, run.learner, run.seed) == ("hopper", "tom", 3)
-    assert OnlineConfig.model_validate(run.config["config"]) == Config
-    assert run.config["versions"]["torch"].startswith("2.")
-    assert run.config["command"] == "tom train"
-    assert run.problems == []
-
-
-def test_the_status_of_a_finished_run(record):
-    status = record().status
-    assert (status.state, status.shown, status.alive) == ("finished", "finished", False)
-    assert (status.env_step, status.total, status.share) == (STEPS, STEPS, 1.0)
-    assert (status.last_return, status.best_return) == (-5000, 2500)
-
-
 def test_speed_and_time_left_follow_the_clock(store: Store):
     now = [1000.0]
     writer = RunWriter.create(store, "run", Config)
@@ -232,36 +201,3 @@ def test_the_heart_beats_while_training_is_busy(store: Store, monkeypatch):
     wait_for(lambda: store.run("run").status.heartbeat != first.heartbeat)
     recorder.finish("finished")
     assert "heartbeat" not in [thread.name for thread in threading.enumerate()]
-
-
-@pytest.mark.parametrize(
-    ("error", "state", "reason"),
-    [
-        (KeyboardInterrupt(), "stopped", "interrupted"),
-        (ValueError("loss is nan"), "failed", "step 294: ValueError: loss is nan"),
-    ],
-)
-def test_what_ended_a_run_is_in_its_status(store: Store, error, state, reason):
-    def train() -> None:
-        with Recorder(RunWriter.create(store, "run", Config)) as recorder:
-            for event in events()[:300]:
-                recorder.consume(event)
-            raise error
-
-    with pytest.raises(type(error)):
-        train()
-    run = store.run("run")
-    assert (run.status.state, run.status.reason) == (state, reason)
-    assert run.metrics()["env_step"].tolist() == [100, 200]
-
-
-def test_two_writers_of_one_run_are_refused(store: Store):
-    writer = RunWriter.create(store, "run", Config)
-    with pytest.raises(TakenError):
-        RunWriter.create(store, "run", Config)
-    with pytest.raises(TryLaterError):
-        RunWriter(store.path / "run", Config)
-    assert lock.is_held(writer.path)
-    writer.close()
-    assert not lock.is_held(writer.path)
-    RunWriter(store.path / "run", Config).close()

@@ -14,13 +14,6 @@ from tom.record.status import Labels
 from tom.record.writer import RunWriter
 
 
-def test_runs_come_newest_first(store: Store):
-    for run_id in ("b", "c", "a"):
-        RunWriter.create(store, run_id, Config).close()
-    assert [run.run_id for run in store.runs()] == ["a", "c", "b"]
-    assert store.problems == []
-
-
 def test_what_is_no_run_is_named_and_does_not_stop_the_others(store: Store):
     RunWriter.create(store, "good", Config).close()
     RunWriter.create(store, "newer", Config).close()

@@ -29,37 +29,34 @@ SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", 
 PLAN = {"env": "inverted-pendulum", "learner": "mle", "preset": "smoke", "steps": 250}
 
 
-def sweep(capsys, store: Path, *words: str) -> tuple[int, str, str]:
+def sweep(capsys, store: Path, *words: str) -> str:
+    """What a sweep prints, which ends well."""
     capsys.readouterr()
-    code = code_of(["sweep", *words, "--store", str(store)])
-    said = capsys.readouterr()
-    return code, said.out, said.err
+    assert code_of(["sweep", *words, "--store", str(store)]) == 0
+    return capsys.readouterr().out
 
 
 @pytest.mark.slow
 def test_a_sweep_runs_once_and_is_then_skipped(tmp_path: Path, capsys):
-    code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--dry-run", "--json")
+    out = sweep(capsys, tmp_path, *SMOKE, "--dry-run", "--json")
     planned = json.loads(out)
-    assert code == 0
     assert [row["state"] for row in planned["runs"]] == ["new"]
     assert planned["hours"] == 0  # nothing to judge it by
     assert list(tmp_path.iterdir()) == []
 
-    code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--json")
+    out = sweep(capsys, tmp_path, *SMOKE, "--json")
     (row,) = json.loads(out)
-    assert code == 0
     assert (row["state"], row["env_step"]) == ("finished", 250)
     assert Store(tmp_path).run(row["run_id"]).status.state == "finished"
     before = (tmp_path / row["run_id"] / "metrics.jsonl").stat().st_mtime_ns
 
-    code, out, _ = sweep(capsys, tmp_path, *SMOKE)
-    assert code == 0
+    out = sweep(capsys, tmp_path, *SMOKE)
     assert "was there already" in out
     assert (tmp_path / row["run_id"] / "metrics.jsonl").stat().st_mtime_ns == before
 
-    code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--seeds", "0", "1", "--dry-run", "--json")
+    out = sweep(capsys, tmp_path, *SMOKE, "--seeds", "0", "1", "--dry-run", "--json")
     assert [r["state"] for r in json.loads(out)["runs"]] == ["finished", "new"]
-    assert "1 to do" in sweep(capsys, tmp_path, *SMOKE, "--seeds", "0", "1", "--dry-run")[1]
+    assert "1 to do" in sweep(capsys, tmp_path, *SMOKE, "--seeds", "0", "1", "--dry-run")
 
 
 def test_a_file_and_options_on_top_of_it(tmp_path: Path, capsys):
@@ -68,8 +65,7 @@ def test_a_file_and_options_on_top_of_it(tmp_path: Path, capsys):
         "env: hopper\nlearner: [tom, mle]\nseeds: [0, 1]\nsettings: {sac: {tau: 0.1}}\n"
     )
     words = ("--file", str(plan), "--learner", "tom", "--sac.lr", "1e-4", "--dry-run", "--json")
-    code, out, _ = sweep(capsys, tmp_path / "store", *words)
-    assert code == 0
+    out = sweep(capsys, tmp_path / "store", *words)
     assert [(r["learner"], r["seed"]) for r in json.loads(out)["runs"]] == [("tom", 0), ("tom", 1)]
 
 
@@ -80,9 +76,8 @@ def test_a_small_copy_of_a_finished_run_is_done_and_called_one(tmp_path: Path, c
     measured(store, trial.run_id, "mle", 0, *steps, env=PLAN["env"], preset="smoke", steps=250)
     export_small(store.run(trial.run_id), copies)
     words = (*SMOKE, "--dry-run")
-    assert "finished (a small copy)" in sweep(capsys, copies, *words)[1]
-    code, out, _ = sweep(capsys, copies, *SMOKE)
-    assert code == 0
+    assert "finished (a small copy)" in sweep(capsys, copies, *words)
+    out = sweep(capsys, copies, *SMOKE)
     assert "finished (was there already)" in out
     other = trials(checked({**PLAN, "seeds": [1]}))[0]
     assert cost(other, store.runs()) is not None
@@ -94,11 +89,9 @@ def test_a_run_that_was_given_more_steps_and_has_those_of_the_plan_is_done(tmp_p
     more = trial.config.but(steps=2 * trial.config.steps)
     ticked = [Tick(trial.config.total_steps + 10, "optimise")]
     recorded(Store(tmp_path), trial.run_id, more, ticked, state="stopped")
-    code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--dry-run")
-    assert code == 0
+    out = sweep(capsys, tmp_path, *SMOKE, "--dry-run")
     assert "0 to do" in out
-    code, out, _ = sweep(capsys, tmp_path, *SMOKE)
-    assert code == 0
+    out = sweep(capsys, tmp_path, *SMOKE)
     assert "was there already" in out
     assert len(Store(tmp_path).runs()) == 1
 
@@ -107,8 +100,7 @@ def test_a_run_that_was_given_more_steps_and_has_those_of_the_plan_is_done(tmp_p
 def test_a_run_that_was_given_fewer_steps_gets_the_rest(tmp_path: Path, capsys):
     words = ("--run-id", trials(checked(PLAN))[0].run_id, "--no-rerun", "--store", str(tmp_path))
     assert code_of(["train", *SMOKE[:-1], "210", *words]) == 0
-    code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--json")
-    assert code == 0
+    out = sweep(capsys, tmp_path, *SMOKE, "--json")
     (row,) = json.loads(out)
     assert (row["state"], row["env_step"]) == ("finished", 250)
     (run,) = Store(tmp_path).runs()
