@@ -3,9 +3,9 @@ import pytest
 from common import online
 from gymnasium.spaces import Box
 
-from tom.config import RolloutConfig, TomConfig, merged
+from tom.config import RolloutConfig, TomConfig
 from tom.envs import task
-from tom.readable import flat, in_words
+from tom.readable import in_words
 from tom.training.plan import Plan, Trial, trials
 from tom.training.presets import resolve
 
@@ -15,13 +15,6 @@ def test_the_papers_single_action_sample_is_a_preset_and_the_default_is_not():
     assert TomConfig.preset("paper").action_samples == 1
     assert resolve("hopper", "tom", "mbpo").tom.action_samples == TomConfig().action_samples == 4
     assert TomConfig.preset("exact").action_samples == 10
-
-
-@pytest.mark.parametrize("env", ["hopper", "inverted-pendulum", "gymnasium:Pendulum-v1"])
-def test_without_a_preset_tom_has_the_mended_objective_and_the_others_the_papers(env: str):
-    assert resolve(env, "tom") == resolve(env, "tom", "mended")
-    for learner in ("mle", "pmac", "ratio", "vagram"):
-        assert resolve(env, learner) == resolve(env, learner, "paper")
 
 
 def test_a_plan_without_a_preset_has_each_learners_own_and_its_run_is_that_of_the_preset():
@@ -77,18 +70,6 @@ def test_a_rule_that_is_not_given_is_not_recorded_and_changes_no_name_of_a_run()
     recorded = given.model_dump(mode="json")
     assert recorded["model"]["termination"] == "never"
     assert type(given).model_validate(recorded) == given
-
-
-def test_changes_come_on_top_group_by_group_and_leave_the_base_alone():
-    base = {"sac": {"lr": 1, "tau": 2}, "steps": 3}
-    assert merged(base, {"sac": {"lr": 9}}) == {"sac": {"lr": 9, "tau": 2}, "steps": 3}
-    assert merged(base, {"steps": {"lr": 9}, "sac": None}) == {"sac": None, "steps": {"lr": 9}}
-    assert base == {"sac": {"lr": 1, "tau": 2}, "steps": 3}
-
-
-def test_values_by_dotted_path_at_any_depth():
-    nested = {"seed": 1, "a": {"b": {"c": None}, "d": [2]}, "empty": {}}
-    assert flat(nested) == {"seed": 1, "a.b.c": None, "a.d": [2]}
 
 
 def test_a_configuration_is_flat_words() -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tom.errors import reason, unknown
+from tom.errors import reason
 
 
 @pytest.mark.parametrize(
@@ -15,9 +15,3 @@ from tom.errors import reason, unknown
 )
 def test_why_something_failed_in_one_line(error: Exception, line: str):
     assert reason(error) == line
-
-
-def test_an_unknown_name_offers_the_nearest_if_one_is_near():
-    known = ("mle", "pmac", "tom")
-    assert "did you mean 'pmac'" in str(unknown("learner", "PMACS", known))
-    assert "did you mean" not in str(unknown("learner", "zzzz", known))

@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +18,6 @@ from tom.record import RunReader
 
 GALLERY = Path(__file__).parents[2] / "runs"
 RUN = "inverted-pendulum-tom-s0-162b7ad0"
-STEP = 60
 QUICK = {"tom": {"q_steps": 20, "discriminator_steps": 20, "q_hidden": 16}}
 
 
@@ -202,19 +199,3 @@ def test_what_is_neither_a_run_nor_a_weighing(tmp_path: Path):
     for wrong in ({"learners": ["tmo"]}, {"footprint": 0}):
         with pytest.raises(UserError):
             tom.weigh(RUN, RUN, store=GALLERY, **wrong)
-
-
-def test_the_studio_comes_when_it_is_asked_for():
-    """Frames need none of it, and the package as such next to nothing."""
-    code = (
-        "import sys, tom\n"
-        "assert not {'torch', 'pandas'} & sys.modules.keys()\n"
-        "tom.load, tom.weigh, tom.studio\n"
-        "assert 'pandas' in sys.modules\n"
-        "assert not {'app', 'plotly', 'streamlit'} & sys.modules.keys()\n"
-        "assert {'load', 'studio', 'weigh'} <= set(dir(tom))\n"
-        "try: tom.nothing\n"
-        "except AttributeError: pass\n"
-        "else: raise SystemExit(1)\n"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -31,29 +31,6 @@ def of(events: list[Event], kind: type) -> list:
     return [e for e in events if isinstance(e, kind)]
 
 
-@pytest.fixture(scope="module")
-def tom_run() -> tuple[Mbpo, list[Event]]:
-    return run(smoke(steps=500))
-
-
-def test_fits_come_every_fit_every_steps_after_exploration(tom_run):
-    assert [w.env_step for w in of(tom_run[1], Weights)] == [200, 300, 400]
-
-
-def test_weights_cover_the_whole_buffer_and_have_mean_one(tom_run):
-    for weights in of(tom_run[1], Weights):
-        assert len(weights.weight) == weights.env_step
-        assert weights.weight.mean() == pytest.approx(1, abs=1e-5)
-
-
-def test_tom_starts_after_its_warm_up_and_weighs_uniformly_until_then(tom_run):
-    first, second, third = of(tom_run[1], Weights)
-    assert np.all(first.weight == 1)
-    assert np.ptp(second.weight) > 0
-    assert first.log_ratio is None
-    assert third.log_ratio is not None
-
-
 @pytest.mark.parametrize("capacity", [1, 70, 130, 1000])
 def test_every_transition_is_handed_over_once_and_in_order(capacity: int):
     """Also where the buffer holds less than the exploration, or than the steps between two fits."""
@@ -70,8 +47,8 @@ def test_every_transition_is_handed_over_once_and_in_order(capacity: int):
     assert handed == [p.env_step for p in parts]  # a row's number is its step
 
 
-def test_exploration_is_no_part_of_the_policy_buffer(tom_run):
-    training = tom_run[0]
+def test_exploration_is_no_part_of_the_policy_buffer():
+    training, _ = run(smoke(steps=500))
     on_policy = training.policy_buffer
     assert len(on_policy) == 300
     assert torch.equal(on_policy.obs, training.replay.transitions().obs[200:])

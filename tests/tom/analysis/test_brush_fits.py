@@ -12,7 +12,6 @@ from tom.analysis.brush import (
     SMALL,
     BrushedFit,
     brushed_weights,
-    check_factor,
     fit_brushed,
 )
 from tom.config import ModelConfig
@@ -40,16 +39,6 @@ def fitted(config: ModelConfig, factors: Sequence[float], *seeds: int) -> list[B
     )
 
 
-def test_the_region_is_multiplied_and_the_mean_stays_one():
-    weights, region = torch.tensor([1.0, 2.0, 0.0, 1.0]), torch.tensor([True, False, True, False])
-    found = brushed_weights(weights, region, 4)
-    assert float(found.mean()) == pytest.approx(1)
-    assert float(found[0] / found[3]) == pytest.approx(4)
-    assert float(found[1] / found[3]) == pytest.approx(2)
-    assert torch.equal(brushed_weights(weights, region, 1), weights)
-    assert brushed_weights(weights, region, 0)[[0, 2]].tolist() == [0, 0]
-
-
 def test_nothing_left_is_refused():
     weights, region = torch.tensor([1.0, 0.0]), torch.tensor([True, False])
     with pytest.raises(UserError, match="nothing is left"):
@@ -61,12 +50,6 @@ def test_nothing_left_is_refused():
                 rows, torch.ones(40), torch.ones(40, dtype=torch.bool), None, QUICK, (), (0,)
             )
         )
-
-
-@pytest.mark.parametrize("factor", [-1.0, float("nan"), float("inf")])
-def test_a_factor_that_is_none_is_refused(factor: float):
-    with pytest.raises(UserError):
-        check_factor(factor)
 
 
 def test_a_region_that_counts_less_is_modelled_worse_and_the_rest_better():

@@ -5,10 +5,8 @@ import pandas as pd
 import pytest
 
 from tom.analysis.curves import (
-    GRID,
     Curve,
     aggregate,
-    curve_points,
     groups,
     points_against,
     smoothed,
@@ -28,13 +26,6 @@ def test_mean_over_seeds() -> None:
     # Two runs: a resample is (a, a), (a, b), (b, a) or (b, b), so 95 % reaches both.
     assert group.low.tolist() == [0, 2, 4]
     assert group.high.tolist() == [2, 4, 12]
-
-
-def test_one_run_has_no_band() -> None:
-    group = aggregate([curve([1, 2])])
-    assert np.isnan(group.low).all()
-    assert np.isnan(group.high).all()
-    assert group.mean.tolist() == [1, 2]
 
 
 def test_where_a_run_is_missing_there_is_a_mean_of_the_others_and_no_band() -> None:
@@ -100,13 +91,6 @@ def test_interpolation_is_known_where_the_group_is_thinned_too() -> None:
     assert not aggregate([curve([1.0] * 3000, even), curve([1.0] * 3000, even)]).interpolated
 
 
-def test_a_group_of_very_long_runs_is_thinned() -> None:
-    group = aggregate([curve(list(range(5000)))])
-    assert group.thinned
-    assert GRID - 1 <= len(group.step) <= GRID
-    assert (group.step[0], group.step[-1]) == (0, 4999)
-
-
 def test_any_metric_may_be_the_x_axis() -> None:
     frame = pd.DataFrame(
         {
@@ -118,11 +102,3 @@ def test_any_metric_may_be_the_x_axis() -> None:
     x, value = points_against(frame, "eval/return", "weights/ess")
     assert x.tolist() == [0.75]  # at step 30 nothing is known of the other any more
     assert value.tolist() == [5]
-
-
-def test_points_are_those_that_were_recorded() -> None:
-    frame = pd.DataFrame({"env_step": [0, 5, 9], "eval/return": [1.0, np.nan, 3.0]})
-    step, value = curve_points(frame, "eval/return")
-    assert step.tolist() == [0, 9]
-    assert value.tolist() == [1, 3]
-    assert len(curve_points(frame, "no/such")[0]) == 0

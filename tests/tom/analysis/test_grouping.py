@@ -8,12 +8,9 @@ import pytest
 
 from tom.analysis.curves import Curve, groups
 from tom.analysis.settings import (
-    NONE,
     USUAL,
     Kind,
     choices,
-    differences,
-    distinguishing_presets,
     kinds_of,
     natural_sort_key,
     number,
@@ -98,11 +95,6 @@ def test_values_that_are_numbers_are_ordered_as_such() -> None:
     assert sorted(words, key=natural_sort_key) == ["hidden 64", "hidden 128", "lr 3e-5", "lr 0.001"]
 
 
-def test_only_differences_are_shown() -> None:
-    runs = [Run("a", {"x": "1", "y": "2"}), Run("b", {"x": "1", "y": "3", "z": "4"})]
-    assert differences(runs) == {"y": ["2", "3"], "z": [NONE, "4"]}
-
-
 def test_runs_are_apart_by_settings_that_matter() -> None:
     runs = [
         Run("a", {"seed": "0", "steps": "10", "sac.lr": "1", "pmac.decay": "1"}),
@@ -127,16 +119,6 @@ def test_the_presets_own_value_is_not_named() -> None:
         "a": "model.uniform_share 0.0",
         "b": "model.uniform_share 1.0",
     }
-
-
-def test_a_preset_is_told_where_its_learner_has_several() -> None:
-    runs = [
-        Run("a", {}),
-        Run("b", {}, preset="mended"),
-        Run("c", {}, learner="mle"),
-        Run("d", {}, env="hopper"),
-    ]
-    assert distinguishing_presets(runs) == ["paper", "mended", "", ""]
 
 
 def test_a_new_learners_settings_set_its_own_runs_apart(

@@ -165,15 +165,3 @@ def test_the_p_of_several_tests_are_corrected_as_holm_says():
     assert st.corrected([0.5, 0.9]) == [1, 1]
     assert st.corrected([0.02]) == [0.02]
     assert st.corrected([]) == []
-
-
-@pytest.mark.parametrize("scores", [[[np.nan]], np.zeros((2, 0)), []])
-def test_a_task_without_a_run_is_refused(scores):
-    with pytest.raises(ValueError, match="at least one run"):
-        st.interval(scores, st.mean)
-
-
-def test_improvement_over_other_tasks_is_refused():
-    for compare in (st.probability_of_improvement, st.exchangeable):
-        with pytest.raises(ValueError):  # noqa: PT011
-            compare(SCORES.T, SCORES.T[:1])

@@ -38,14 +38,11 @@ def uniform_policy(obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
 
 
 class LinearGaussian:
-    """A policy whose mean before tanh is the first observations times `slope`."""
-
-    def __init__(self, slope: float = 1.0, log_std: float = -1.0) -> None:
-        self.slope, self.log_std = slope, log_std
+    """A policy whose mean before tanh is the first observations."""
 
     def gaussian(self, obs: Tensor) -> tuple[Tensor, Tensor]:
-        mean = self.slope * obs[:, :ACTION]
-        return mean, torch.full_like(mean, self.log_std)
+        mean = obs[:, :ACTION]
+        return mean, torch.full_like(mean, -1.0)
 
     def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
         mean, log_std = self.gaussian(obs)
@@ -57,7 +54,6 @@ def context(
     replay: TensorTransitions,
     policy_buffer: TensorTransitions | None = None,
     policy_version: Tensor | None = None,
-    on_policy_steps: int = 10_000,
     value_gradient: Callable[[Tensor], Tensor] | None = None,
     behaviour: Tensor | None = None,
     model_errors: Callable[[], Tensor] | None = None,
@@ -71,7 +67,7 @@ def context(
         if policy_version is None
         else policy_version,
         policy_buffer=replay[: n // 10] if policy_buffer is None else policy_buffer,
-        on_policy_steps=on_policy_steps,
+        on_policy_steps=10_000,
         initial_obs=replay.obs[:20],
         policy=policy,
         generator=generator(seed),

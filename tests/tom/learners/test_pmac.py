@@ -41,18 +41,6 @@ def test_weights_follow_the_version_not_the_position():
     torch.testing.assert_close(p, by_recursion(version, 0.5))
 
 
-def test_learner_has_mean_one_and_a_single_policy_is_uniform():
-    learner = PmacLearner(PmacConfig(decay=0.9))
-    version = torch.arange(40) // 10
-    found = learner.weigh(context(rows(40), policy_version=version))
-    assert found.ready
-    assert found.weights.dtype == torch.float32
-    assert float(found.weights.mean()) == pytest.approx(1.0)
-    assert found.weights[-1] < found.weights[0]  # 0.1 of the mass against 0.9^3 of it
-    alone = learner.weigh(context(rows(40)))
-    torch.testing.assert_close(alone.weights, torch.ones(40))
-
-
 def test_no_fit_clips_its_weights():
     """As the released code, which clips probabilities at ten; TOM's weights it does clip."""
     found = PmacLearner(PmacConfig()).weigh(context(rows(4000), policy_version=torch.arange(4000)))

@@ -7,7 +7,7 @@ from made import ACTION, OBS, QUICK, LinearGaussian, context, rows
 
 from tom.config import ModelConfig, OnlineConfig, RolloutConfig
 from tom.learners import LEARNERS, make_learner
-from tom.learners.base import Weighting, heavy_row
+from tom.learners.base import Weighting
 from tom.training.presets import resolve
 
 AT_ONCE = ("mle", "pmac", "pmer")
@@ -79,14 +79,3 @@ def test_a_defensive_mixture_reaches_the_dimensions_and_draws_no_rows():
     assert rows.tolist() == [1.0, 1.0]
     assert per_dim is not None
     assert per_dim.tolist() == [[0.5, 1.5], [1.0, 1.0]]
-
-
-def test_a_row_that_most_rollouts_start_from_is_told():
-    weights = torch.full((20_000,), 0.5)
-    weights[7] = 10_000.5
-    ((kind, message),) = heavy_row(weights)
-    assert kind == "heavy-row"
-    assert message.startswith("50 %")
-    weights[7] = 1_000
-    assert heavy_row(weights) == ()  # a tenth of the others together
-    assert heavy_row(None) == ()  # uniform draws

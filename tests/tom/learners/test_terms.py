@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 import torch
-from common import generator, present
+from common import generator
 from made import OBS, QUICK, ended, rows, uniform_policy
 from torch import Tensor
 
 from tom.analysis import why
-from tom.config import RolloutConfig, TomConfig
+from tom.config import TomConfig
 from tom.data.sampling import normalise
 from tom.data.transitions import TensorTransitions
-from tom.learners.terms import Terms, of_recorded
+from tom.learners.terms import Terms
 from tom.learners.tom import occupancy_weights
 
 FLOWS = ("discounted", "restart", "stationary")
@@ -74,14 +74,6 @@ def test_the_level_is_what_makes_the_mean_one():
     assert why.sum_of(found(QUICK)[1], QUICK, 3).level == 0
 
 
-def test_recorded_terms_are_the_terms():
-    _, terms = found(QUICK)
-    recorded = {"log_ratio": terms.log_ratio, **terms.recorded()}
-    again = present(of_recorded(recorded))
-    assert torch.equal(again.argument(QUICK), terms.argument(QUICK))
-    assert of_recorded({"log_ratio": terms.log_ratio}) is None
-
-
 def test_the_nearest_of_the_policys_transitions():
     replay = buffer()
     near = why.nearest(replay, 7, replay[:150])
@@ -96,15 +88,6 @@ def test_the_nearest_of_the_policys_transitions():
     other = why.usual_distance(replay, replay[:150], torch.arange(150, 600))
     assert own == pytest.approx(0, abs=1e-2)
     assert other > 0.1
-
-
-def test_starts_are_drawn_by_weight():
-    weights = torch.tensor([0.0, 1.0, 3.0])
-    config = RolloutConfig(starts=400)
-    assert why.expected_starts(weights, 2, config) == pytest.approx(300)
-    assert why.expected_starts(weights, 0, config) == 0
-    even = config.model_copy(update={"weighted_starts": False})
-    assert why.expected_starts(weights, 0, even) == pytest.approx(400 / 3)
 
 
 class Ahead:

@@ -170,8 +170,3 @@ def test_files_that_are_no_policy_are_one_line(tmp_path: Path, monkeypatch):
     with pytest.raises(UserError, match=r"no policy at absent\.pt"):
         load("absent.pt")
     assert not (tmp_path / "executed").exists()
-
-
-def test_what_is_not_foreign(tmp_path: Path):
-    names = ("random", "hopper-tom-s0", "runs/a/policy.npz", "runs/a", "C:/runs", "a:b:c")
-    assert not any(map(is_foreign, names))

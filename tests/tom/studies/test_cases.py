@@ -80,15 +80,6 @@ def test_what_is_finished_survives_a_killed_process(tmp_path: Path):
     assert len(list((tmp_path / FOLDER).iterdir())) == 3
 
 
-@pytest.mark.slow
-def test_other_code_computes_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    log = tmp_path / "log"
-    assert [one.text for one in carried_out([Step("a", log)], tmp_path)] == ["aa"]
-    monkeypatch.setattr(module, "code_hash", lambda: "other")
-    assert [one.text for one in carried_out([Step("a", log)], tmp_path)] == ["aa"]
-    assert log.read_text() == "aa"
-
-
 def test_the_hash_of_the_code_is_of_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     before = module.code_hash()
     assert before == module.code_hash()

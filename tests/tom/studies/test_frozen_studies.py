@@ -76,20 +76,6 @@ def test_a_run_without_its_policies_is_left_out_of_the_ways_that_need_them(
         cases([old], ("uniform", "policy-distance"), [0], 1)
 
 
-@pytest.mark.parametrize(
-    "way",
-    [
-        "policy-distance",
-        *(pytest.param(way, marks=pytest.mark.slow) for way in ("pdml", "pmer", "action-ratio")),
-    ],
-)
-def test_ways_that_train_no_network_weigh_a_moment(run: RunReader, way: str):
-    at = moments(run, 1)[0]
-    found = examine(Case(run.path, at, way, rows=300))
-    assert 0 < found["ess"] < 1
-    assert found["footprint"] != 1
-
-
 def test_ways_share_random_numbers_and_moments_do_not():
     seeds = [
         [Case(Path("store") / name, step, way, seed).stream_seed for way in ("uniform", "ratio")]

@@ -222,18 +222,6 @@ def test_learners_with_different_settings_are_not_ranked_without_a_remark(store:
     assert "(updates_per_step)" in line
 
 
-def test_what_is_missing_is_named_with_its_command(store: Store):
-    cells, _ = study.select(store.runs(), "paper")
-    rows = tables.missing(cells, ["hopper", "ant"], ["tom"])
-    assert [(r["env"], r["longest"], r["of"]) for r in rows] == [
-        ("hopper", 4000, 125_000),
-        ("ant", 0, 300_000),
-    ]
-    assert rows[0]["command"] == (
-        "tom sweep --env hopper --learner tom --preset paper --seeds 0 1 2 3"
-    )
-
-
 def two_by_two(
     store: Store, preset: str, means: Sequence[float], seeds: int = 3, **changes: Any
 ) -> list[study.Cell]:

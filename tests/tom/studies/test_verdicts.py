@@ -134,23 +134,6 @@ def test_no_trial_s_share_is_beyond_chance():
 
 
 @pytest.mark.parametrize(
-    ("name", "met", "word"),
-    [
-        ("road", [True, True, None], "Yes"),
-        ("tabular", [True, False], "In part"),
-        ("progression", [False, False, None], "No"),
-    ],
-)
-def test_an_acceptance_is_judged_by_the_numbers_that_are_met(
-    name: str, met: list[bool | None], word: str
-):
-    names = [f"number {i}" for i in range(len(met))]
-    found = of(name, checks=pd.DataFrame({"name": names, "met": met}))
-    assert (found.word, bool(found.against)) == (word, False in met)
-    assert [name in found.against for name in names] == [one is False for one in met]
-
-
-@pytest.mark.parametrize(
     ("shares", "word"), [((0.9, 0.8, 0.2), "No"), ((0.1, 0.2, 0.9), "Yes"), ((0.1, 0.9), "In part")]
 )
 def test_profiles_are_judged_by_where_most_of_them_lie(shares: tuple[float, ...], word: str):
