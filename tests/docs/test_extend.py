@@ -135,6 +135,18 @@ def test_the_studies_know_plugins_tasks_and_learners(home: Path):
     assert len(list((home / "study/cases").iterdir())) == 2 * len(kept) == 4
 
 
+@pytest.mark.slow
+def test_a_sweep_hands_its_plugins_on_and_changes_no_other_run(home: Path):
+    words = "sweep --env inverted-pendulum --preset smoke --steps 210 --store runs --jobs 1"
+    works(f"{words} --learner mle", home)
+    (before,) = (home / "runs").glob("inverted*")
+    said = works(f"{words} --learner mle surprise --surprise.steps 9 {PLUGINS}", home)
+    assert "2 of 2 runs finished" in said
+    names = sorted(path.name for path in (home / "runs").glob("inverted*"))
+    assert len(names) == 2
+    assert before.name in names
+
+
 def test_an_installed_package_is_loaded_and_a_broken_one_left_out(home: Path):
     for name, target in (("own", "reward"), ("broken", "nowhere")):
         folder = home / f"{name}-1.0.dist-info"

@@ -17,6 +17,7 @@ from studio_browser import (
     settle,
     until,
     wait_until_drawn,
+    wait_until_steady,
 )
 from studio_runs import PENDULUM_TOM, ROAD_TOM
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 pytestmark = NEEDS_BROWSER
+START = "curves?task=inverted-pendulum"
 
 
 @pytest.mark.quick
@@ -188,6 +190,37 @@ def test_the_timeline_moves_numbers_and_profile_before_the_server_hears_of_it(
     assert played == sorted({*played} & {*stops})
     assert page.locator(".timeline output").inner_text() == f"step {stops[-1]:,}"
     page.get_by_role("button", name="Play", exact=True).wait_for()  # and no longer Pause
+
+
+def test_back_takes_back_one_choice_after_the_other(visit: Visit) -> None:
+    page = visit.page
+    page.goto(visit.links.user_address(START))
+    drawn(page)
+    page.get_by_role("radio", name="Statistics").click()
+    settle(page, "part=Statistics")
+    page.get_by_role("radio", name="Curves").click()
+    page.wait_for_url(lambda address: "part=" not in address)
+    drawn(page)
+    page.get_by_role("button", name="Lines", exact=True).click()
+    page.get_by_text("log y").click()
+    settle(page, "logy=true")
+    page.go_back()
+    page.wait_for_url(lambda address: "logy" not in address)
+    drawn(page)
+    assert asked(page) == {"task": ["inverted-pendulum"]}
+    page.go_back()
+    page.get_by_text("Performance profile").wait_for()
+    assert page.get_by_role("radio", name="Statistics").is_checked()
+    page.go_back()
+    page.get_by_text("1000 resamples").wait_for()
+    assert page.get_by_role("radio", name="Curves").is_checked()
+    visit.open("Attention", "attention")
+    shown, busy = page.get_by_text("Every fit"), page.get_by_test_id("stStatusWidget")
+    # At rest: a picture asked for after its page was left is gone, which the console would tell.
+    wait_until_steady(page, lambda: shown.count() > 0 and not busy.count(), 1)
+    page.go_back()
+    page.get_by_text("1000 resamples").wait_for()
+    assert asked(page) == {"task": ["inverted-pendulum"]}
 
 
 # The buffer's map: it chooses the rows that the server chooses

@@ -1,6 +1,7 @@
 """What a visitor sees is in the address, and its charts and lists follow what they show."""
 
 import json
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ from studio_browser import (
     until,
     zoom_in,
 )
-from studio_runs import PENDULUM_TOM, trains_elsewhere
+from studio_runs import PENDULUM_TOM, set_status, trains_elsewhere
 
 from tom.analysis.settings import USUAL
 from tom.record.reader import RunReader
@@ -165,6 +166,19 @@ def group_by(page: "Page", what: str) -> None:
         page.get_by_role("button", name="Filter and group").click()
     choose(page, "Group by", what)
     page.keyboard.press("Escape")
+
+
+def test_an_open_page_takes_up_a_training_that_starts(visit_own: Visit, own: Path) -> None:
+    page = visit_own.page
+    page.goto(visit_own.links.user_address("?task=inverted-pendulum"))
+    page.get_by_text("Does it help?").wait_for()
+    trains_elsewhere(own / PENDULUM_TOM)
+    stop = page.get_by_role("button", name="Stop", exact=False)
+    stop.wait_for()
+    ended = {"state": "finished", "heartbeat": time.time()}
+    set_status(own / PENDULUM_TOM, **ended)
+    stop.wait_for(state="detached")
+    page.get_by_text("last return").first.wait_for()  # its card stays for a while
 
 
 def test_a_curve_follows_its_run_and_keeps_what_the_reader_has_zoomed_to(
