@@ -1,9 +1,9 @@
 """Where do the weights lie in the buffer as a run goes on?
 
-Shows the profiles of several fits of the store's longest run of each environment, learner and
-preset, with its preset's settings if there is one (the paper's appendix on online progression).
-Leaves out fits with uniform weights, before the learner begins to weigh, and MLE, which never
-weighs. Trains nothing.
+Measures several fits of the store's longest runs of each environment, learner and preset, with its
+preset's settings if there are any, and draws one run's (the paper's appendix on online
+progression). Leaves out fits with uniform weights, before the learner begins to weigh, and MLE,
+which never weighs. Trains nothing.
 """
 
 from argparse import ArgumentParser, Namespace
@@ -38,6 +38,8 @@ CLAIM = (
 )
 Array = NDArray[Any]
 STEPS = 5
+LONG = 0.5
+"""share of the longest run's steps from which a run of the same settings counts beside it"""
 UNIFORM = 0.999  # effective sample size (share) from which weights count as uniform
 NEWEST = 0.1
 EVEN = 0.1  # excess below which a profile counts as even
@@ -59,12 +61,12 @@ def find(args: Namespace) -> Findings:
             f"{args.store}/ has no such run that weighed its buffer: tom sweep --env "
             f"{' '.join(envs)} --learner tom pmac vagram --preset {args.preset[0]} makes them"
         )
-    profile_rows = rows(found)
+    profile_rows, drawn = rows(found), first_of_each(found)
     return Findings(
         sentences=in_sentences(profile_rows),
-        files={"profiles": _profiles(found), "online": profile_rows},
+        files={"profiles": _profiles(drawn), "online": profile_rows},
         titles={"online": "Every profile"},
-        figures={"online": (CAPTION, online_figure(found))},
+        figures={"online": (CAPTION, online_figure(drawn))},
         origin=origin_of_runs([panel.run for panel in found]),
     )
 
@@ -80,16 +82,28 @@ class RunProfiles(NamedTuple):
 
 
 def panels(runs: Sequence[RunReader], presets: Sequence[str]) -> list[RunProfiles]:
-    """The longest run of each environment, learner and preset, if it weighed, in that order."""
+    """The longest runs of each environment, learner and preset that weighed, in that order.
+
+    First the longest, of several the newest, if possible one with its preset's settings; then the
+    others with these settings and LONG of its steps.
+    """
     suited = [run for run in runs if run.preset in presets and run.env != ROAD]
-    suited.sort(key=lambda run: (not changed(run), run.status.env_step, run.created))
+    as_preset = {run.run_id: not changed(run) for run in suited}
+    suited.sort(key=lambda run: (as_preset[run.run_id], run.status.env_step, run.created))
 
     def place(run: RunReader) -> tuple[object, ...]:
         return task_rank(run.env), learner_rank(run.learner), presets.index(run.preset)
 
     longest = {place(run): run for run in suited}
+    counted = [
+        run
+        for run in reversed(suited)
+        for first in [longest[place(run)]]
+        if run is first
+        or (as_preset[run.run_id] and run.status.env_step >= LONG * first.status.env_step)
+    ]
     found = []
-    for run in sorted(longest.values(), key=place):  # type: ignore[arg-type]
+    for run in sorted(counted, key=place):  # type: ignore[arg-type]
         fits = run.profiles()
         weighed = np.flatnonzero((fits.ess < UNIFORM) & np.isfinite(fits.bins).any(1))
         if len(weighed):
@@ -98,6 +112,12 @@ def panels(runs: Sequence[RunReader], presets: Sequence[str]) -> list[RunProfile
             label = LEARNERS[run.learner].label + preset
             found.append(RunProfiles(run, label, fits.env_step[at], fits.bins[at], fits.ess[at]))
     return found
+
+
+def first_of_each(panels: Sequence[RunProfiles]) -> list[RunProfiles]:
+    """The first run of each environment, learner and preset."""
+    first = {(one.run.env, one.label): one for one in reversed(panels)}
+    return [one for one in panels if first[one.run.env, one.label] is one]
 
 
 def rows(panels: Sequence[RunProfiles]) -> list[Row]:
@@ -146,7 +166,7 @@ def in_sentences(rows: Sequence[Row]) -> list[str]:
             f"{name}: in {sum(one < 0.5 for one in share)} of {len(share)} profiles most weight "
             f"lies outside the newest tenth (median share there {np.median(share):.2f}), and in "
             f"{sum(row['peak at'] < 1 - NEWEST for row in own)} the peak does; "
-            f"{len({row['run'] for row in own})} runs, one seed each."
+            f"{len({row['run'] for row in own})} runs."
         )
     return sentences
 
@@ -169,7 +189,7 @@ def verdict(tables: Tables) -> Verdict:
     )
     runs = {row["run"] for row in rows}
     against = (
-        f"{len(runs)} runs, one seed each, so there is no test. The latest profile is of step "
+        f"{len(runs)} runs, whose fits are alike: there is no test. The latest is of step "
         f"{max(row['step'] for row in rows):,}; the paper's are of steps 120,000 and 200,000."
     )
     points = []

@@ -74,11 +74,13 @@ def test_even_weights_are_no_evidence(tmp_path: Path, weight: np.ndarray, word: 
     assert (found.word if found else None) == word
 
 
-def test_the_longest_run_and_a_few_fits_spread_over_it(tmp_path: Path):
+def test_the_longest_runs_and_a_few_fits_spread_over_them(tmp_path: Path):
     store = Store(tmp_path)
-    record(store, "pmac", [on(0, 100)] * 20)
-    record(store, "pmac", [on(0, 100)] * 3)
-    (panel,) = study.panels(store.runs(), ["paper"])
+    for fits in (20, 3, 16):
+        record(store, "pmac", [on(0, 100)] * fits)
+    panels = study.panels(store.runs(), ["paper"])
+    assert [one.env_step.tolist()[-1] for one in panels] == [5000, 4000]
+    (panel,) = study.first_of_each(panels)
     assert panel.env_step.tolist() == [250, 1500, 2750, 3750, 5000]
     assert study.panels(store.runs(), ["smoke"]) == []
 
