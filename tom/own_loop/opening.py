@@ -130,4 +130,7 @@ def _cut_buffer(writer: RunWriter, reader: RunReader, last: float) -> int:
     arrays["truncated"] = arrays["truncated"] | ~(follows | arrays["terminated"])
     # Whole and under its name before the later segments go: a kill may come at any time.
     writer.arrays(layout.segment(first), arrays | {"policy_version": numbers[kept]}, sync=True)
+    for later in layout.numbers(reader.path / layout.BUFFER, ".npz"):
+        if later > first:  # the rows that stay may reach beyond where it began
+            (writer.path / layout.segment(later)).unlink()
     return first + len(kept)

@@ -265,6 +265,26 @@ def test_an_episode_is_cut_at_the_border_of_two_files_as_well(tmp_path: Path):
     assert ends.tolist() == [cut]
 
 
+def test_rows_of_several_environments_are_cut_in_all_files(tmp_path: Path):
+    def hand_in(run: OwnRun, steps: int) -> None:
+        number = run.step + 1 + np.arange(3 * steps).reshape(steps, 3)
+        at, no = number[..., None] + np.zeros(3), np.zeros((steps, 3), bool)
+        cut = no.copy()
+        cut[-1] = True
+        run.transitions(at, np.zeros((steps, 3, 1)), number, at + 3, no, cut)
+
+    with record("mine", env="Pendulum-v1", store=tmp_path, envs=3) as run:
+        hand_in(run, BLOCK)
+    assert len([*(run.path / "buffer").iterdir()]) == 3  # one environment's rows in each
+    with record("mine", env="Pendulum-v1", store=tmp_path, envs=3, resume="auto", step=6000) as run:
+        hand_in(run, 10)
+    found = loaded(run)
+    assert sorted(found.transitions["reward"]) == [*range(1, 6031)]
+    ends = np.flatnonzero(found.transitions["truncated"]) + 1
+    assert ends.tolist() == [2000, 4000, 6000, 6010, 6020, 6030]
+    assert not found.reader.problems
+
+
 BAD = {
     "transitions": [
         ([0, 0], [0], 0, [0, 0, 0], False, False),
