@@ -17,7 +17,6 @@ from pydantic import ValidationError
 from tom.analysis.ordered_data import card_of_run
 from tom.config import OWN_LOOP, OwnLoopConfig
 from tom.data.card import FEW_ROWS
-from tom.data.transitions import Transitions
 from tom.errors import UserError, invalid_value, reason
 from tom.events import (
     Collected,
@@ -122,7 +121,7 @@ class OwnRun:
             raise UserError(invalid_value(error)) from None
         self._recorder = open_record(place, name, settings, resume, step)
         self.name, self.path, self.closed = name, self._recorder.writer.path, False
-        numbers = RunReader(self.path).buffer()[1]
+        rows, numbers = RunReader(self.path).buffer()
         handed = int(numbers.max(initial=0)) if step is None or not len(numbers) else step
         self._known, self._strict = known, strict
         self._rows = Rows(known, envs, autoreset, handed, numbers)
@@ -134,7 +133,8 @@ class OwnRun:
         self._copier = PolicyCopier(known)
         self._evaluator = lru_cache(maxsize=1)(partial(Evaluator, known))  # by its episodes
         self._episodes: tuple[int, list[Episode]] = (-1, [])
-        self._newest: Transitions | None = None  # the last block of rows
+        # What agents saw in the newest rows of the record, whose blocks may be as small as a row.
+        self._newest_obs = np.array(rows.obs[-BLOCK:]).reshape(-1, known.obs_dim)
         self._next_card, self._notices_given = FEW_ROWS, set[str]()
         self.live: list[Callable[[], str]] = []
         """give the reason of a live weighing that failed, else nothing"""
@@ -226,7 +226,7 @@ class OwnRun:
         """
         at = self._checked_step(step)
         self._flush()
-        obs = self._rows.unfinished_obs() if self._newest is None else np.asarray(self._newest.obs)
+        obs = np.concatenate((self._newest_obs, self._rows.unfinished_obs()))
         arrays, error = self._copier.copy(policy, obs)
         self._policy = at, arrays
         self._recorder.consume(KeptPolicy(at, arrays))
@@ -364,7 +364,7 @@ class OwnRun:
     def _flush(self) -> None:
         for rows, numbers in self._rows.blocks():
             self._recorder.consume(Collected(self.step, rows, numbers))
-            self._newest = rows
+            self._newest_obs = np.concatenate((self._newest_obs, np.asarray(rows.obs)))[-BLOCK:]
             if numbers[-1] >= self._next_card and len(rows) >= FEW_ROWS:
                 self._next_card = 8 * int(numbers[-1])
                 for code, text in card_of_run(rows, self._known).notices():

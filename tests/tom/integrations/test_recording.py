@@ -96,7 +96,13 @@ def test_a_policy_of_ppo_is_learnt_from_its_answers(tmp_path: Path):
     run = loaded(tmp_path)
     assert len(run.transitions) == 256
     assert np.abs(run.transitions["action_0"].to_numpy()).max() <= 2
-    assert float(run.metrics["policy/copy_error"].dropna().tolist()[-1]) < 0.2
+    # Its answers are draws, whose noise the copy averages over the rows.
+    obs = run.transitions[["obs_0", "obs_1", "obs_2"]].to_numpy()
+    expected = model.predict(obs, deterministic=True)[0] / 2
+    kept = read_policy(run.reader.path / "policy.npz")
+    found = kept.mean(torch.from_numpy(obs / np.array([1, 1, 8], np.float32))).numpy()
+    assert np.sqrt(np.square(found - expected).mean()) < 0.25
+    assert "policy/copy_error" in run.metrics
 
 
 class Features(BaseFeaturesExtractor):
