@@ -172,9 +172,10 @@ def follow(source: RunReader, learners: Sequence[str], every: int, began_at: int
             stack.enter_context(live.recorder)
         last, took = 0, 0.0
         while True:
-            source = RunReader(source.path)
+            # The lock first: it goes after the last status, which the run may write meanwhile.
+            held, source = lock.is_held(source.path), RunReader(source.path)
             now = source.status  # of another process: the loop was started again
-            running = now.state == "running" and now.pid == writer and lock.is_held(source.path)
+            running = now.state == "running" and now.pid == writer and held
             rows, steps = source.buffer_length(), source.policy_steps()
             due = rows - last >= every if running else rows > last
             if due and steps:

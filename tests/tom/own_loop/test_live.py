@@ -11,9 +11,9 @@ import tom
 from tom.data.unpack import read_arrays
 from tom.errors import UserError
 from tom.frames import Weighing
-from tom.own_loop.live import _LearnerRecord, weigh_live
+from tom.own_loop.live import _LearnerRecord, follow, weigh_live
 from tom.own_loop.run import OwnRun, record
-from tom.record import RunReader, layout
+from tom.record import RunReader, layout, lock
 from tom.record.integrity import verify
 
 PATIENCE_S = 120
@@ -107,6 +107,21 @@ def test_a_weighing_that_fails_is_told_at_the_end(tmp_path: Path):
         run.close()
     assert str(loaded(tmp_path).summary["state"]) == "finished"
     assert str(loaded(tmp_path).live["mle"].summary["state"]) == "failed"
+
+
+def test_a_run_that_ends_while_it_is_looked_at_has_not_ended_unfinished(tmp_path, monkeypatch):
+    run, held = record("mine", env="Pendulum-v1", store=tmp_path), lock.is_held
+    hand_in(run, 60)
+
+    def ends(path: Path) -> bool:
+        run.close()
+        return held(path)
+
+    monkeypatch.setattr(lock, "is_held", ends)
+    follow(RunReader(run.path), ("mle",), every=50, began_at=0)
+    found = loaded(tmp_path).live["mle"]
+    assert str(found.summary["state"]) == "finished"
+    assert found.reader.snapshot_steps() == [60]
 
 
 @pytest.mark.slow
