@@ -45,7 +45,7 @@ def import_metrics(
     of the run, by default the file's; `returned` is the metric that is the return [the first of
     RETURNS]. Steps are taken to be env steps. Raises UserError.
     """
-    path = Path(path)
+    path = Path(path).absolute()  # `.` has no name
     try:
         found = _csv(path) if path.suffix == ".csv" else {"": _events(path)}
     except (OSError, ValueError, struct.error) as error:

@@ -30,6 +30,16 @@ def test_event_files_of_tensorboard_are_a_run(tmp_path: Path):
     assert len(loaded(tmp_path / "runs", "killed").metrics) == 10
 
 
+def test_a_run_of_the_folder_that_one_is_in_has_its_name(tmp_path: Path, monkeypatch):
+    with SummaryWriter(str(tmp_path / "SAC_1")) as writer:
+        writer.add_scalar("train/return", 1.0, 10)
+    monkeypatch.chdir(tmp_path / "SAC_1")
+    words = ["runs", "import", ".", "--env", "Hopper-v5", "--store", str(tmp_path / "runs")]
+    assert code_of(words) == 0
+    run = loaded(tmp_path / "runs", "SAC_1")
+    assert run.reader.config["config"]["own"] == {"imported": "SAC_1"}
+
+
 def test_folders_of_two_settings_are_two_runs(tmp_path: Path):
     for name in ("lr-0.1", "lr-0.2"):
         with SummaryWriter(str(tmp_path / name)) as writer:
