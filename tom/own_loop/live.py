@@ -180,7 +180,9 @@ def follow(source: RunReader, learners: Sequence[str], every: int, began_at: int
             due = rows - last >= every if running else rows > last
             if due and steps:
                 recorded = source.buffer()
-                skipped = (rows - last) // every - 1 if last else 0
+                # Of several environments many rows come at once, however slow their loop is.
+                meanwhile = int(took * (now.env_steps_per_s or 0))
+                skipped = min(rows - last, meanwhile) // every - 1
                 if skipped > 0:
                     text = (
                         f"{skipped} weighings were skipped: one takes {took:.0f} s here, in which "

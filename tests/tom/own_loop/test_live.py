@@ -124,6 +124,21 @@ def test_a_run_that_ends_while_it_is_looked_at_has_not_ended_unfinished(tmp_path
     assert found.reader.snapshot_steps() == [60]
 
 
+def test_many_rows_at_once_are_not_taken_for_a_loop_that_is_too_fast(tmp_path, monkeypatch):
+    run, held = record("mine", env="Pendulum-v1", store=tmp_path, envs=2), lock.is_held
+    loop = iter([lambda: hand_in(run, 100, 2), lambda: hand_in(run, 200, 2), run.close])
+
+    def looked_at(path: Path) -> bool:
+        next(loop)()
+        return held(path)
+
+    monkeypatch.setattr(lock, "is_held", looked_at)
+    follow(RunReader(run.path), ("mle",), every=100, began_at=0)
+    found = loaded(tmp_path).live["mle"].reader
+    assert found.profiles().count.tolist() == [100, 300]
+    assert "behind" not in {notice["code"] for notice in found.notices()}
+
+
 @pytest.mark.slow
 def test_a_run_that_goes_on_is_weighed_from_there(tmp_path: Path):
     for _ in range(2):
