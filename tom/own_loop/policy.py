@@ -114,12 +114,21 @@ def _as_function(policy: Any) -> Callable[[Tensor], Any]:
     predict = getattr(policy, "predict", None)
     if not callable(policy) and predict is None:
         raise UserError("give a function of observations, a torch module or SB3's model")
-    function = policy
-    if predict is not None:
-        normalised = getattr(policy, "get_vec_normalize_env", lambda: None)()
-        seen = (lambda obs: obs) if normalised is None else normalised.normalize_obs
-        function = lambda obs: predict(seen(obs), deterministic=False)[0]  # noqa: E731
-    return lambda obs: function(obs.numpy().astype(np.float32))
+    if predict is None:
+        return lambda obs: policy(obs.numpy().astype(np.float32))
+    normalised = getattr(policy, "get_vec_normalize_env", lambda: None)()
+    seen = (lambda obs: obs) if normalised is None else normalised.normalize_obs
+
+    def predicted(obs: Tensor) -> Any:
+        actions = predict(seen(obs.numpy().astype(np.float32)), deterministic=False)[0]
+        if not getattr(policy, "use_sde", False):
+            return actions
+        # gSDE: all these actions have one draw of the noise in common.
+        drawn_by = (getattr(policy, "actor", None) or policy.policy).action_dist
+        of = drawn_by.distribution
+        return (of.mean, of.stddev.log()) if drawn_by.bijector else of.sample()
+
+    return predicted
 
 
 def _networks(model: Any) -> tuple[Layers, list[Layers], Any, Any] | None:

@@ -24,8 +24,9 @@ from tom.integrations.gymnasium import RecordEnv, RecordVectorEnv
 from tom.integrations.rllib import priorities
 from tom.integrations.sb3 import RecordCallback, export_buffer, export_policy
 from tom.own_loop.opening import resolve_task
-from tom.own_loop.policy import PolicyCopier
+from tom.own_loop.policy import PolicyCopier, _as_function
 from tom.own_loop.run import record
+from tom.policy.foreign import ForeignPolicy
 from tom.policy.stored import StoredPolicy, read_policy
 
 
@@ -147,6 +148,23 @@ def test_a_model_of_another_form_is_kept_as_it_acts(kind: str):
     expected = model.predict(asked, deterministic=True)[0]
     assert np.abs(2 * kept.mean(torch.from_numpy(seen)).numpy() - expected).mean() < 0.06
     assert kept.value_gradient is None
+
+
+@pytest.mark.parametrize(("kind", "options"), [(SAC, {"buffer_size": 10}), (PPO, {"n_steps": 64})])
+def test_noise_of_the_state_is_drawn_anew_and_no_part_of_the_mean(kind, options):
+    model = small(kind, DummyVecEnv([pendulum]), use_sde=True, **options)
+    part = model.actor if kind is SAC else model.policy
+    with torch.no_grad():
+        part.log_std.fill_(-1.0)
+    part.reset_noise()
+    known, obs = resolve_task("Pendulum-v1"), np.random.default_rng(0).normal(size=(50, 3))
+    seen = torch.from_numpy(known.unit_obs(obs))
+    policy = ForeignPolicy("of gSDE", _as_function(model), known)
+    drawn = policy(seen, 200, torch.Generator().manual_seed(0))
+    assert float(drawn.std(0).mean()) > 0.02
+    if kind is SAC:
+        expected = model.predict(obs.astype(np.float32), deterministic=True)[0]
+        np.testing.assert_allclose(2 * policy.mean(seen), expected, atol=1e-4)
 
 
 def test_an_environment_records_itself(tmp_path: Path):
