@@ -72,7 +72,11 @@ class PolicyCopier:
         foreign = ForeignPolicy("of run.policy", _as_function(policy), self._task)
         seen = torch.from_numpy(obs[:: max(len(obs) // MAX_OBSERVATIONS, 1)]).float()
         generator = torch.Generator().manual_seed(0)
-        drawn = torch.atanh(foreign(seen, DRAWS, generator).clamp(-0.999, 0.999))
+
+        def drawn_anew() -> Tensor:
+            return torch.atanh(foreign(seen, DRAWS, generator).clamp(-0.999, 0.999))
+
+        drawn = drawn_anew()
         mean, log_std = drawn.mean(0), drawn.std(0).clamp(min=1e-3).log()
         spread, centre = torch.std_mean(seen, 0, correction=0)
         spread = spread.clamp(min=1e-6)
@@ -92,11 +96,13 @@ class PolicyCopier:
                 (near + 0.01 * far + 0.1 * wide).backward()
                 optimiser.step()
         with torch.no_grad():
-            off = self._net(x[None])[0].chunk(2, -1)[0].tanh() - mean.tanh()
+            own_mean = self._net(x[None])[0].chunk(2, -1)[0].tanh()
+            # Twice, from other draws each time, whose noise is no error and falls out.
+            off, again = (own_mean - drawn_anew().mean(0).tanh() for _ in range(2))
         layers = [(_numbers(w[0]), _numbers(b[0, 0])) for w, b in self._net.layers]
         scale, offset = 1 / _numbers(spread), -_numbers(centre / spread)
         arrays = layer_arrays(self._task.name, _fold_scaling(layers, scale, offset))
-        return arrays, float(off.square().mean().sqrt())
+        return arrays, float((off * again).mean().clamp(min=0).sqrt())
 
 
 def _fold_scaling(layers: Layers, scale: NDArray, offset: NDArray) -> Layers:

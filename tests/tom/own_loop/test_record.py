@@ -389,6 +389,19 @@ def test_any_policy_is_kept_as_a_network_that_answers_like_it(policy, tmp_path: 
     np.testing.assert_allclose(distance, np.abs(action[:, 0]), atol=0.25)
 
 
+def test_the_noise_of_a_policy_is_no_error_of_its_copy(tmp_path: Path):
+    def noisy(obs: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(in_units(obs)) + torch.randn(len(obs), 1)
+
+    rng = np.random.default_rng(0)
+    angle = rng.uniform(-np.pi, np.pi, 1000)
+    obs = np.stack((np.cos(angle), np.sin(angle), rng.uniform(-8, 8, 1000)), 1)
+    with record("mine", env="Pendulum-v1", store=tmp_path) as run:
+        run.transitions(obs, np.zeros((1000, 1)), angle, obs, [0] * 1000, [1] * 1000)
+        run.policy(1000, noisy)
+    assert loaded(run).metrics["policy/copy_error"].dropna().tolist()[0] < 0.1
+
+
 def test_a_policy_is_kept_before_the_first_episode_of_several_environments_ends(tmp_path: Path):
     obs, ends = np.random.default_rng(0).uniform(-1, 1, (50, 2, 3)), np.zeros((50, 2), bool)
     obs[..., :2] /= np.linalg.norm(obs[..., :2], axis=-1, keepdims=True)
