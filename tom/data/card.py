@@ -236,11 +236,12 @@ def _value_notices(card: Card) -> Iterator[Notice]:
 
 def _flag_notices(card: Card) -> Iterator[Notice]:
     goes_on = card.joined > 0.5 * card.rows or card.lost > 0
-    inverted = card.rows > 1 and card.terminations > 0.5 * card.rows and goes_on
+    rows, terminations = card.rows + card.lost, card.terminations + card.lost
+    inverted = card.rows > 1 and terminations > 0.5 * rows and goes_on
     if inverted:
         yield (
             "flags",
-            f"{100 * card.terminations / card.rows:.0f} % of the rows are terminated, and yet "
+            f"{100 * terminations / rows:.0f} % of the rows are terminated, and yet "
             "they go on: is 'terminated' a mask, 1 - done? Write 1 where the task ended",
         )
     elif order := _order_fault(card):

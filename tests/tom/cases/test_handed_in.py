@@ -54,6 +54,7 @@ def test_good_rows_have_no_notice_and_are_counted():
 
 BREAKS = int(good()["truncated"][:-1].sum())
 ENDS, NONE = cases.ends(good()), np.zeros(N, bool)
+MASK_ALONE = ["few-rows", "flags", "no-next-obs"]  # it leaves the rows of true ends
 SHUFFLED = np.random.default_rng(1).permutation(N)
 
 
@@ -67,6 +68,7 @@ SHUFFLED = np.random.default_rng(1).permutation(N)
         (cases.next_step_reset(good()), ["order"], 0),
         (good() | {"next_obs": np.roll(good()["obs"], -1, 0)}, ["order"], 0),
         (without("next_obs"), ["no-next-obs"], 0),
+        (without("next_obs") | {"terminated": ~good()["terminated"]}, MASK_ALONE, 0),
         (cases.first(1), ["few-rows"], 0),
         (cases.noise(good()), [], 0),
         (without("truncated"), [], 0),
