@@ -358,12 +358,16 @@ def import_runs(args: argparse.Namespace) -> int:
     ANY,
 )
 def fetch(args: argparse.Namespace) -> int:
-    from tom.record.bucket import Bucket, fetch_run
+    from tom.record.bucket import Bucket, fetch_run, newest
 
     bucket, store = Bucket.open(args.url), Store(args.store)
     done: dict[str, str] = {}
     try:
-        wanted = args.run_ids or [name for name in bucket.folders() if RUN_ID.fullmatch(name)]
+        wanted = args.run_ids or [
+            name
+            for name in bucket.folders()
+            if RUN_ID.fullmatch(name) and newest(bucket.names(name))  # else it has only begun
+        ]
         if not wanted:
             raise UserError(f"no runs in {args.url}: is it the --store of a sweep?")
         for run_id in wanted:
