@@ -101,7 +101,7 @@ def _record(_: argparse.Namespace) -> Tables:
     from tom.bench import training
 
     def list_all(store: Path) -> None:
-        everything = dict.fromkeys(("env", "learner", "tag", "state"))
+        everything = dict.fromkeys(("task", "learner", "tag", "state"))
         with redirect_stdout(io.StringIO()):
             list_runs(argparse.Namespace(store=store, json=True, **everything))
 

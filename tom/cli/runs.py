@@ -50,7 +50,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )
     add_store(parser)
     add_json(parser)
-    parser.set_defaults(run=list_runs, env=None, learner=None, tag=None, state=None)
+    parser.set_defaults(run=list_runs, task=None, learner=None, tag=None, state=None)
     verbs = parser.add_subparsers(title="what to do", metavar="VERB")
     for name, (run, text, own) in VERBS.items():
         added = verbs.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
@@ -82,7 +82,8 @@ def _chosen(store: Store, run_ids: Sequence[str], *, finished: bool = False) -> 
 @verb(
     "list",
     "list the runs, newest first",
-    argument("--env", help="only this environment"),
+    # Named like that, it is not imported: runs are listed without their task's code.
+    argument("--env", dest="task", metavar="ENV", help="only this environment"),
     argument("--learner", help="only this learner"),
     argument("--tag", help="only runs with this tag"),
     argument("--state", choices=STATES, help="only runs in this state"),
@@ -91,7 +92,7 @@ def list_runs(args: argparse.Namespace) -> int:
     shown = [
         run
         for run in _chosen(Store(args.store), ())
-        if args.env in (None, run.env)
+        if args.task in (None, run.env)
         and args.learner in (None, run.learner)
         and args.state in (None, run.status.shown)
         and (args.tag is None or args.tag in run.labels.tags)
@@ -357,12 +358,16 @@ def import_runs(args: argparse.Namespace) -> int:
     ANY,
 )
 def fetch(args: argparse.Namespace) -> int:
-    from tom.record.bucket import Bucket, fetch_run
+    from tom.record.bucket import Bucket, fetch_run, newest
 
     bucket, store = Bucket.open(args.url), Store(args.store)
     done: dict[str, str] = {}
     try:
-        wanted = args.run_ids or [name for name in bucket.folders() if RUN_ID.fullmatch(name)]
+        wanted = args.run_ids or [
+            name
+            for name in bucket.folders()
+            if RUN_ID.fullmatch(name) and newest(bucket.names(name))  # else it has only begun
+        ]
         if not wanted:
             raise UserError(f"no runs in {args.url}: is it the --store of a sweep?")
         for run_id in wanted:

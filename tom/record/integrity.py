@@ -19,6 +19,7 @@ from tom.record import checkpoint, layout, lock
 from tom.record.decode import read_table
 from tom.record.files import (
     files_in,
+    modified,
     parse_json_line,
     read_json,
     replace,
@@ -82,6 +83,8 @@ def repair(reader: RunReader) -> list[str]:
     run, done = reader.path, dict[str, str]()
     with closing(lock.acquire(run)):
         damaged = _damaged(run)
+        table = run / layout.METRICS_TABLE
+        is_newest = modified(table) >= modified(run / layout.METRICS) > 0
         for name in filter(lambda name: (run / name).is_file(), layout.LINES):
             content = (run / name).read_bytes()
             *lines, _ = content.split(b"\n")
@@ -92,6 +95,8 @@ def repair(reader: RunReader) -> list[str]:
                 place = set_aside(run, run / name, copy=True)
                 replace(run / name, lambda file, text=text: file.write(text), sync=True)
                 done[name] = f"damaged lines blanked out{_kept(run, place)}"
+        if is_newest and layout.METRICS in done:
+            table.touch()  # it stays what is read: it has the rows that became blank
         for name in damaged:
             if Path(name).suffix in (".npz", ".parquet") and (run / name).is_file():
                 done[name] = f"set aside{_kept(run, set_aside(run, run / name))}"

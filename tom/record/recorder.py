@@ -71,7 +71,7 @@ class Recorder:
         self._clock, self._timer = clock, timer
         self._started = timer() - resumed.get("wall_s", 0.0)
         self._last_row = (timer(), step)
-        self._timed = -1  # the step of the last row with times
+        self._timed = resumed.get("timed", -1)  # the step of the last row with times
         self._pending: dict[str, float] = {}
         self._pending_step = 0
         self._record_s = resumed.get("record_s", 0.0)
@@ -116,6 +116,7 @@ class Recorder:
             "wall_s": self._timer() - self._started,
             "record_s": self._record_s,
             "checkpoint_s": self._checkpoint_s,
+            "timed": self._timed,
             "next_snapshot": self._next_snapshot,
             "returns": (self.status.last_return, self.status.best_return),
             "files": self.writer.mark(),

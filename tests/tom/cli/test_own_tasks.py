@@ -54,10 +54,10 @@ def test_a_task_and_a_rule_of_ones_own(home: Path):
     (home / "imported").unlink()
     again, known = "train --resume parts --steps 400 --store runs", "--env own_tasks:Own-v0"
     fails(again, home, f"add {known}")
-    works("runs list --store runs", home)
+    works(f"runs list {known} --store runs", home)
     works("runs show whole --store runs", home)
     fails("weigh parts --policy parts --store runs", home, known)
-    assert not (home / "imported").exists()  # none of these named it
+    assert not (home / "imported").exists()  # none of these needs it
     other = "--termination own_tasks:numbers"
     fails(f"{again} {known} {other}", home, "was made with own_tasks:fallen")
     fails(f"{again} {known}", home, f"add {RULE}")

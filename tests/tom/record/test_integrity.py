@@ -56,6 +56,18 @@ def test_damaged_lines_become_blank_where_they_are_and_are_kept_aside(record):
     assert names == {"notices.jsonl", "notices.jsonl-2"}
 
 
+def test_a_row_that_was_damaged_is_still_read_from_the_table_after_a_repair(record):
+    run = record()
+    before, path = run.metrics(), run.path / "metrics.jsonl"
+    at = path.stat().st_mtime_ns
+    flip(path, 0)
+    os.utime(path, ns=(at, at))  # no write, but a bit on the disk
+    assert len(verify(run)) == 1
+    repair(run)
+    assert run.metrics().equals(before)
+    assert verify(run) == []
+
+
 def test_a_run_that_died_becomes_stopped(record):
     run = record()
     beat = RunReader(run.path).status.heartbeat - 3600

@@ -2,6 +2,7 @@ import threading
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from common import recorded
 from kernel import wait_for
 from recorded import (
@@ -35,13 +36,20 @@ def test_metrics_are_one_row_a_step(record):
     assert (table["time/record_s"] >= 0).all()
 
 
-def test_a_step_told_in_two_rows_has_the_time_of_the_first(store: Store):
+@pytest.mark.parametrize("resumed", [False, True])
+def test_a_step_told_in_two_rows_has_the_time_of_the_first(store: Store, resumed: bool):
     now = [0.0]
-    with Recorder(RunWriter.create(store, "run", Config), timer=lambda: now[0]) as recorder:
-        for name, at in (("eval/return", 100.0), ("model/rounds", 112.0)):
-            now[0] = at
-            recorder.consume(Metrics(9000, {name: 1.0}))
-            recorder.consume(Tick(9000, "fit"))
+    recorder = Recorder(RunWriter.create(store, "run", Config), timer=lambda: now[0])
+    for name, at in (("eval/return", 100.0), ("model/rounds", 112.0)):
+        now[0] = at
+        recorder.consume(Metrics(9000, {name: 1.0}))
+        recorder.consume(Tick(9000, "fit"))
+        if resumed:
+            mark = recorder.mark()
+            recorder.finish("stopped")
+            writer = RunWriter(store.path / "run", Config)
+            recorder = Recorder(writer, timer=lambda: now[0], mark=mark)
+    recorder.finish("finished")
     (row,) = store.run("run").metrics().to_dict("records")
     assert (row["eval/return"], row["model/rounds"], row["time/wall_s"]) == (1, 1, 100)
 

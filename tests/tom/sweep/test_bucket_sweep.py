@@ -119,6 +119,17 @@ class Elsewhere:
         self.attempt.put(self.folder)
 
 
+@pytest.mark.quick
+def test_all_runs_are_fetched_while_another_has_only_begun(
+    bucket_url: str, trial: Trial, tmp_path: Path
+):
+    bucket = Bucket.open(bucket_url)
+    Attempt.claim(bucket, "a-first-one")
+    Elsewhere(bucket, trial, tmp_path / "other").put("running", time.time())
+    assert main(["runs", "fetch", bucket_url, "--store", str(tmp_path / "here")]) == 0
+    assert Store(tmp_path / "here").names() == [trial.run_id]
+
+
 @pytest.mark.parametrize("off_s", [-1e4, 1e4])
 def test_a_run_is_left_to_another_machine_until_it_was_seen_unchanged_for_long(
     off_s: float, bucket_url: str, trial: Trial, tmp_path: Path
