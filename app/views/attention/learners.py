@@ -181,8 +181,9 @@ def _weigh_form(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) ->
     with st.expander("Weigh this buffer", icon=":material/scale:", expanded=expanded):
         row = st.columns([2, 4, 4, 2, 2])
         widgets.show_left_out(run, "policies")
+        steps = run.policy_steps() if run.fits_model else []
         at = address.choose_one(
-            row[0].selectbox, "As it was at step", [END, *run.policy_steps()], "at", END,
+            row[0].selectbox, "As it was at step", [END, *steps], "at", END,
             lambda step: str(step) if step == END else f"{step:,}",
             help="the buffer and the policies at that fit; the steps are those where both were "
             "kept",
