@@ -14,7 +14,7 @@ from hypothesis import strategies as hypothesis
 from scipy.stats import mannwhitneyu
 from streamlit.testing.v1 import AppTest
 from studio_pages import PAGE, TIMEOUT_S, array, draw, figures, parts, plain, recorded, trace
-from studio_runs import PENDULUM_TOM, ROAD_TOM
+from studio_runs import PENDULUM_TOM, ROAD_TOM, set_status, trains_elsewhere
 
 from app.data.tables import default_level
 from app.figures import statistics
@@ -248,6 +248,29 @@ def test_the_timeline_is_of_the_chosen_run(store: Path) -> None:
     assert timeline["given"]["fits"] == fits
     assert timeline["given"]["stops"] == sorted({*fits, *evaluations})
     assert timeline["step"] == max(stop for stop in timeline["given"]["stops"] if stop <= 250)
+
+
+def test_a_killed_training_no_longer_decides_where_the_charts_of_others_open(own: Path) -> None:
+    short, other = (own / run_id for run_id in SEEDS)
+    change(short / layout.CONFIG, preset="paper")
+    change(other / layout.CONFIG, preset="mended")
+    (short / layout.METRICS_TABLE).unlink()
+    for file in (short / layout.METRICS, short / layout.PROFILES):
+        rows = file.read_text().splitlines(keepends=True)
+        file.write_text("".join(row for row in rows if json.loads(row)["env_step"] <= 200))
+    trains_elsewhere(short)
+
+    def opened() -> list[list[float] | None]:
+        """The part of the x axis that each page opens at; None: all of it."""
+        pages = (
+            curves(hide="MLE", panel="weights/ess"),
+            draw("answer", task=PENDULUM, one="TOM paper", other="TOM mended"),
+        )
+        return [first(shown)["layout"]["xaxis"].get("range") for shown in pages]
+
+    assert opened() == [[200, 200], [200, 200]]
+    set_status(short, heartbeat=0.0)
+    assert opened() == [None, None]
 
 
 def test_a_short_link_leads_to_the_same_view(own: Path) -> None:
