@@ -70,16 +70,18 @@ def folders(store: Path | str) -> tuple[Path, ...]:
 def listing(*places: Path) -> list[Study]:
     """The studies with a figure, a table or a report, in the order of `STUDIES`.
 
-    A study in several places is taken from the first.
+    A study in several places is taken from the first that has any of these.
     """
-    first: dict[str, Path] = {}
+    found: dict[str, Study] = {}
     for folder in (folder for place in places for folder in _files(place, Path.is_dir)):
-        first.setdefault(folder.name, folder)
+        if folder.name not in found and NAME.fullmatch(folder.name):
+            study = _read(folder)
+            if study.figures or study.tables or study.report:  # else it is being computed
+                found[folder.name] = study
     order = {name: i for i, name in enumerate(STUDIES)}
-    names = sorted(first, reverse=True)  # of later steps first
+    names = sorted(found, reverse=True)  # of later steps first
     names.sort(key=lambda name: order.get(name, len(order)))
-    studies = [_read(first[name]) for name in names if NAME.fullmatch(name)]
-    return [study for study in studies if study.figures or study.tables or study.report]
+    return [found[name] for name in names]
 
 
 def report(name: str, *places: Path) -> Path | None:

@@ -220,9 +220,10 @@ def group_curves(
     if len({float(x) for trace in lines for x in trace.x[:2]}) == 1 and not axes.log_x:
         # With a single point Plotly would show a tiny range around it: start the axis at zero.
         x_axis |= {"rangemode": "tozero", "autorangeoptions": {"include": 0}}
+    kept = " ".join([metric, str(axes), *sorted({group.env for group in groups})])
     # One label for all lines at a step, the highest first; `meta` is for a saved figure and table.
     styled(
-        figure, x, height, keep=f"{metric} {axes}", x_axis=x_axis,
+        figure, x, height, keep=kept, x_axis=x_axis,
         y_axis={"type": "log" if axes.log_y else "linear"}, hovermode="x unified",
         hoversort="value descending", meta={"y": short_title(metric), "groups": named},
     )  # fmt: skip

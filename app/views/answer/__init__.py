@@ -84,9 +84,12 @@ def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
         (kind, scope.styles[kind]) for kind in {scope.kinds[r.run_id] for r in every}
     )
     version = tuple(
-        (readers.metrics_version(run), first_weight_reader(run).version("profiles"))
+        (
+            run.status.alive, readers.metrics_version(run),
+            first_weight_reader(run).version("profiles"),
+        )
         for run in every
-    )
+    )  # fmt: skip
     drawn = get_or_make(
         ("cards", *groups, styles, *(run.path for run in every)), version,
         lambda: _charts(scope, groups, sides),

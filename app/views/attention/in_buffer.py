@@ -222,14 +222,14 @@ def _scenes(
     run: RunReader, rows: Rows, source: Source, mask: Mask, selection: Selection, row: int | None
 ) -> None:
     """Robots of the chosen rows; or of a row and of its nearest."""
-    if not mask.any() and row is None:
-        st.caption("No row is chosen, so there is no scene to show.")
-        return
     kinds = ["the chosen rows", "a row and its nearest"]
     kind = kinds[0]
     if row is not None:
         kind = address.choose_part(kinds, "scenes", "Scenes")
     if row is None or kind == kinds[0]:
+        if not mask.any():
+            st.caption("No row is chosen, so there is no scene to show.")
+            return
         left, right = buffer.heavy_and_light(rows, mask, SHOWN, GAP)
         titles = "heaviest", "lightest"
         words = "the heaviest chosen on the left, the lightest chosen on the right"

@@ -181,8 +181,9 @@ def _weigh_form(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) ->
     with st.expander("Weigh this buffer", icon=":material/scale:", expanded=expanded):
         row = st.columns([2, 4, 4, 2, 2])
         widgets.show_left_out(run, "policies")
+        steps = run.policy_steps() if run.fits_model else []
         at = address.choose_one(
-            row[0].selectbox, "As it was at step", [END, *run.policy_steps()], "at", END,
+            row[0].selectbox, "As it was at step", [END, *steps], "at", END,
             lambda step: str(step) if step == END else f"{step:,}",
             help="the buffer and the policies at that fit; the steps are those where both were "
             "kept",
@@ -190,9 +191,9 @@ def _weigh_form(run: RunReader, kept: Sequence[RunReader], *, expanded: bool) ->
         step = None if at == END else int(at)
         policies = [one.run_id for one in kept if one.env == run.env and one.has_policy(step)]
         policies.sort(key=lambda name: name != run.run_id)
-        policy = row[1].selectbox(
-            "By the policy of", [*policies, RANDOM, FOREIGN], key="weigh policy"
-        )
+        offered = [*policies, RANDOM, FOREIGN]
+        address.follow_default("weigh policy", offered[0])
+        policy = row[1].selectbox("By the policy of", offered, key="weigh policy")
         usable = [name for name in LEARNERS if run.keeps_behaviour() or not follows_behaviour(name)]
         with row[2]:
             learners = address.multiselect(

@@ -101,12 +101,14 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
     if not envs:
         st.info("Every run is hidden. Click an eye on the left to show its runs again.")
         return
+    # Panels are drawn again alone, when the scope's own runs have long been read.
+    now = {run.run_id: run for run in readers.listing(session.links().store).runs}
     seen = measure.zoom((how.axes.x, *sorted({run.env for run in scope.runs})))
     first_curves, first_groups = list[Curve](), list[Group]()
     on_steps = how.axes.x == measure.STEPS
     grid = st.container(horizontal=True, key="grid")
     for metric, env in product(metrics, envs):
-        here = [run for run in scope.shown if run.env == env]
+        here = [now.get(run.run_id, run) for run in scope.shown if run.env == env]
         curves, grouped = measure.grouped(
             here, scope.kinds, metric, how.axes.x, how.statistic, how.band
         )

@@ -94,9 +94,12 @@ def grouped(
 def cache_key(runs: Sequence[RunReader], kinds: Mapping[str, Kind]) -> tuple[object, ...]:
     """What the curves and groups of runs depend on, for the key of a cache."""
     return tuple(
-        (run.path, run.status.total, readers.metrics_version(run), kinds[run.run_id])
+        (
+            run.path, run.status.total, run.status.alive, readers.metrics_version(run),
+            kinds[run.run_id],
+        )
         for run in runs
-    )
+    )  # fmt: skip
 
 
 def curve(run: RunReader, metric: str, x: str, kind: Kind) -> Curve:

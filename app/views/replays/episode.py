@@ -228,11 +228,12 @@ def _controls(replay: Replay, *, playing: bool) -> None:
     row = st.columns([2, 6, 3], vertical_alignment="bottom")
     label = "Pause" if playing else "Play"
     row[0].button(label, icon=icon, key="replay play", width="stretch", on_click=toggle)
-    if st.session_state.get(SLIDER) != st.session_state[FRAME]:  # else it would interrupt a drag
-        st.session_state[SLIDER] = st.session_state[FRAME]
+    slider = f"{SLIDER} of {last}"  # Streamlit puts one of another range back to its beginning
+    if st.session_state.get(slider) != st.session_state[FRAME]:  # else it would interrupt a drag
+        st.session_state[slider] = st.session_state[FRAME]
     row[1].slider(
-        "Step of the episode", 0, last, key=SLIDER,
-        on_change=lambda: go_to(int(st.session_state[SLIDER])),
+        "Step of the episode", 0, last, key=slider,
+        on_change=lambda: go_to(int(st.session_state[slider])),
     )  # fmt: skip
     row[2].selectbox("Speed", list(SPEEDS), list(SPEEDS).index(REAL_TIME), key="replay speed")
     row = st.columns(2)

@@ -185,6 +185,17 @@ def test_a_zoom_lasts_while_its_run_grows_and_is_none_of_another_run(profiles: P
     assert not set(zooms("a", profiles)) & set(zooms("b", profiles))
 
 
+def test_a_zoom_on_the_curves_of_a_task_is_none_of_another() -> None:
+    group = aggregate([long_curve(10, 0)])
+    kept = {
+        group_curves([replace(group, env=env)], "x", 300, singles=False).to_dict()["layout"][
+            "uirevision"
+        ]
+        for env in ("ant", "hopper")
+    }
+    assert len(kept) == 2
+
+
 @settings(deadline=None)
 @given(st.integers(10, 3000), st.integers(4, 200))
 def test_thinning_keeps_the_extremes(count: int, limit: int) -> None:

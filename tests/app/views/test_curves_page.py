@@ -2,7 +2,11 @@
 
 import json
 import shutil
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -14,21 +18,22 @@ from hypothesis import strategies as hypothesis
 from scipy.stats import mannwhitneyu
 from streamlit.testing.v1 import AppTest
 from studio_pages import PAGE, TIMEOUT_S, array, draw, figures, parts, plain, recorded, trace
-from studio_runs import PENDULUM_TOM, ROAD_TOM
+from studio_runs import PENDULUM_TOM, ROAD_TOM, info, set_status, trains_elsewhere
 
 from app.data.tables import default_level
 from app.figures import statistics
-from app.figures.curves import Style
+from app.figures.curves import Axes, Style
 from app.figures.statistics import Profile
 from app.links import Links
 from app.parts import shortlinks
 from app.parts.plot import Point, View
+from app.parts.scope import Scope
 from app.servers.pages import routes
 from app.theme import learner_colour
 from app.views import curves as page
 from app.views.curves import measure, numbers
 from app.views.curves.measure import favourites_first
-from tom.analysis.curves import Curve
+from tom.analysis.curves import Curve, Group
 from tom.analysis.scores import BEST, FINAL
 from tom.plugins import CHARTS
 from tom.record import layout, manage
@@ -248,6 +253,49 @@ def test_the_timeline_is_of_the_chosen_run(store: Path) -> None:
     assert timeline["given"]["fits"] == fits
     assert timeline["given"]["stops"] == sorted({*fits, *evaluations})
     assert timeline["step"] == max(stop for stop in timeline["given"]["stops"] if stop <= 250)
+
+
+def test_a_killed_training_no_longer_decides_where_the_charts_of_others_open(own: Path) -> None:
+    short, other = (own / run_id for run_id in SEEDS)
+    change(short / layout.CONFIG, preset="paper")
+    change(other / layout.CONFIG, preset="mended")
+    (short / layout.METRICS_TABLE).unlink()
+    for file in (short / layout.METRICS, short / layout.PROFILES):
+        rows = file.read_text().splitlines(keepends=True)
+        file.write_text("".join(row for row in rows if json.loads(row)["env_step"] <= 200))
+    trains_elsewhere(short)
+
+    def opened() -> list[list[float] | None]:
+        """The part of the x axis that each page opens at; None: all of it."""
+        pages = (
+            curves(hide="MLE", panel="weights/ess"),
+            draw("answer", task=PENDULUM, one="TOM paper", other="TOM mended"),
+        )
+        return [first(shown)["layout"]["xaxis"].get("range") for shown in pages]
+
+    assert opened() == [[200, 200], [200, 200]]
+    set_status(short, heartbeat=0.0)
+    assert opened() == [None, None]
+
+
+def test_panels_that_are_drawn_again_alone_know_which_training_goes_on(
+    own: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trains_elsewhere(own / PENDULUM_TOM)
+    run = info(own, PENDULUM_TOM)
+    before = run.with_status(replace(run.status, heartbeat=0.0))  # of when the page was drawn
+    going_on: list[bool] = []
+
+    def grouped(runs: Sequence[RunReader], *_: object) -> tuple[list[Curve], list[Group]]:
+        going_on.extend(run.status.alive for run in runs)
+        return [], []
+
+    monkeypatch.setattr(measure, "grouped", grouped)
+    monkeypatch.setattr(measure, "zoom", lambda _: {})
+    drawn = SimpleNamespace(runs=[before], shown=[before], kinds={})
+    how = measure.Measure(Axes(), "mean", "bootstrap", 1, singles=False)
+    page._panels(cast(Scope, drawn), ["eval/return"], how)
+    assert going_on == [True]
 
 
 def test_a_short_link_leads_to_the_same_view(own: Path) -> None:

@@ -14,6 +14,7 @@ from studio_runs import PENDULUM_TOM, info, with_weighing
 from app.data import buffer, weighings
 from app.views.attention.learners import nearest
 from tom.analysis.progression import progression
+from tom.analysis.weighing import RANDOM
 from tom.cli import main
 from tom.record.reader import RunReader
 from tom.reports.weighing_files import REPORT
@@ -148,6 +149,16 @@ def test_every_learner_on_the_buffer_of_a_fit(weighed: Path) -> None:
         line = array(trace(figures(app)[0], meta=learner)["y"])
         assert line == pytest.approx(np.asarray(profile[learner]), rel=1e-3)
     assert f"{step} transitions" in captions(app)
+
+
+def test_the_policy_is_the_buffers_own_until_another_is_chosen(weighed: Path) -> None:
+    app = on_one_buffer(run=PENDULUM_TOM)
+    for run_id in ("pendulum-tom-1", PENDULUM_TOM):
+        app.session_state["run"] = [run_id]
+        assert app.run().selectbox(key="weigh policy").value == run_id
+    app.selectbox(key="weigh policy").select(RANDOM).run()
+    app.session_state["run"] = ["pendulum-tom-1"]
+    assert app.run().selectbox(key="weigh policy").value == RANDOM
 
 
 def test_the_learner_named_nearest_is_that_of_the_least_median_footprint(weighed: Path) -> None:

@@ -97,6 +97,9 @@ def test_without_a_robot_there_are_curves_and_no_empty_scene(shown: Path, run_id
     moments = figures(regions)[-1]["data"]  # three dimensions of the heaviest and the lightest
     assert len(moments) >= 3 * 10
     assert len(array(moments[0]["y"])) == 25
+    of_none = in_buffer(run=run_id, row="5", where="age 200..")
+    assert of_none.dataframe[0].value.empty
+    assert not any(len(figure["data"]) >= 3 * 10 for figure in figures(of_none))
     assert "absent_module" not in sys.modules
 
 

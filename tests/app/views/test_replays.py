@@ -19,6 +19,7 @@ from app.figures.replay import episode_curves
 from app.scenes import solids
 from app.servers import viewers
 from tom.analysis.imagine import stored_model
+from tom.record import layout
 from tom.record.reader import RunReader
 
 RUNS = Path(__file__).parents[3] / "runs"
@@ -152,8 +153,23 @@ def asked_of_rerun(app: AppTest) -> str:
 
 def test_a_frame_of_a_longer_episode_is_forgotten() -> None:
     app = draw("replays", run=PENDULUM_TOM, step="400", frame="999", episode="77")
-    assert app.slider(key="replay frame").value == 0
+    assert app.slider[0].value == 0
     assert app.selectbox(key="episode").value == 1
+
+
+def test_the_slider_stands_at_the_shown_step_also_in_an_episode_of_another_length(
+    own: Path,
+) -> None:
+    path = own / PENDULUM_TOM / layout.episodes(400)
+    with np.load(path) as file:
+        arrays = {**file}
+    for name, left in (("reward", 9), ("action", 9), ("obs", 10), ("qpos", 10), ("qvel", 10)):
+        arrays[f"{name}_1"] = arrays[f"{name}_1"][:left]
+    np.savez(path, allow_pickle=False, **arrays)
+    app = draw("replays", run=PENDULUM_TOM, step="400", frame="3")
+    assert app.slider[0].max > 9
+    app.selectbox(key="episode").select(2).run()
+    assert (app.slider[0].max, app.slider[0].value) == (9, 3)
 
 
 def test_runs_stand_side_by_side_with_their_returns_and_weights(store: Path) -> None:

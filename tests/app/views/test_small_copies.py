@@ -1,11 +1,12 @@
 """Pages on a small copy without buffer, model and policy: they say that those were left out."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 from streamlit.testing.v1 import AppTest
-from studio_pages import Show, draw, figures
+from studio_pages import Show, draw, figures, on_one_buffer
 from studio_runs import info
 
 from app.data import readers
@@ -76,6 +77,19 @@ def test_a_recording_of_sac_has_no_weights(tmp_path: Path, show: Show) -> None:
     app = draw("attention", run=recording.run_id)
     assert not figures(app)
     assert LEARNERS_ON_IT in app.info[0].value
+
+
+def test_a_recording_of_sac_is_weighed_whole_although_it_kept_policies(
+    tmp_path: Path, show: Show
+) -> None:
+    run = shutil.copytree(GALLERY / "hopper-sac-s0", tmp_path / "hopper-sac-s0")
+    policy = run / layout.policy(30_000)
+    policy.parent.mkdir()
+    shutil.copy(run / layout.POLICY, policy)
+    show(tmp_path)
+    app = on_one_buffer(run=run.name)
+    assert app.selectbox(key="weigh policy").value == run.name
+    assert len(app.selectbox(key="at").options) == 1
 
 
 def test_the_table_of_runs_and_the_cards_say_which_is_one(bare: Path) -> None:
