@@ -130,7 +130,8 @@ def _as_function(policy: Any) -> Callable[[Tensor], Any]:
         if not getattr(policy, "use_sde", False):
             return actions
         # gSDE: all these actions have one draw of the noise in common.
-        drawn_by = (getattr(policy, "actor", None) or policy.policy).action_dist
+        parts = (getattr(policy, name, None) for name in ("actor", "policy"))
+        drawn_by = next(part.action_dist for part in parts if part)
         of = drawn_by.distribution
         return (of.mean, of.stddev.log()) if drawn_by.bijector else of.sample()
 
