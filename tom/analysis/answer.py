@@ -321,13 +321,10 @@ def helps(one: Side, other: Side | None) -> Answer:
         f"(interquartile means of {counts}); a random run of {one.name} beats one of {other.name} "
         f"{chance}. {error}"
     ).rstrip()
-    again = any(len({c.seed for c in curves}) < len(curves) for curves in comparable)
-    repeated = "A seed run twice counts twice." if again else ""
     if p >= SIGNIFICANT:
-        return Answer("unclear", "Not clearly", sentence, repeated)
+        return Answer("unclear", "Not clearly", sentence)
     comes_out = "more" if beats.value > 0.5 else "less"
     corrected = f"Corrected for the three scores in Curves, Statistics, p is {of_all:.2g}."
-    corrected = f"{corrected} {repeated}".rstrip()
     if of_all >= SIGNIFICANT:
         return Answer("unclear", f"Perhaps it returns {comes_out}", sentence, corrected)
     if beats.value > 0.5:

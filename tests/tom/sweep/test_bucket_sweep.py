@@ -67,7 +67,7 @@ def test_a_worker_killed_with_all_it_had__goes_on_from_the_object_store_to_the_s
 ):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tom.sweep.bucket.LOOK_S", 0.1)  # to see it while it runs
-    planned, bucket = plan(learner=["mle"], seeds=[0], steps=4000), Bucket.open(bucket_url)
+    planned, bucket = plan(learner=["mle"], seeds=[0], steps=16_000), Bucket.open(bucket_url)
     backend = BucketBackend(bucket, Store(tmp_path / "seen"), [planned[0].run_id])
     driver = Driver(backend, planned, LocalEngine(1), back_off_s=0.1)
     (job,) = driver.jobs
